@@ -12,7 +12,7 @@ import pytest
 
 # The pages import Streamlit as they load, so that without it there is nothing to collect.
 collect_ignore_glob = (
-    [] if find_spec("streamlit") else ["src/cucumbervision_greenhouse/dashboard/*"]
+    [] if find_spec("streamlit") else ["src/cucumbervision_greenhouse/pages/*"]
 )
 # The examples of these files compute with torch.
 _WITH_TORCH = ["src/cucumbervision_lab/training/losses.py"]

@@ -28,7 +28,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for what the tes
 
 from tests.conftest import record
 
-from cucumbervision_greenhouse.backend.cameras import PREVIEW_FPS
+from cucumbervision_greenhouse.camera.cameras import PREVIEW_FPS
 from cucumbervision_greenhouse.store.records import Round, key_of
 from cucumbervision_greenhouse.store.repository import open_store
 from cucumbervision_greenhouse.store.waiting import WaitingCaptures, waiting_folder

@@ -21,8 +21,8 @@ from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.source import example_captures
 from cucumbervision.measurement.result import Fruit
 from cucumbervision.pipeline.overlay import COLORS, draw_path, draw_region
-from cucumbervision_greenhouse.backend.fruit_pictures import depth_picture
-from cucumbervision_greenhouse.backend.settings import Units
+from cucumbervision_greenhouse.fruit_pictures import depth_picture
+from cucumbervision_greenhouse.settings import Units
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -101,7 +101,7 @@ def compiled(folder: Path) -> dict[str, str]:
     environment = {**os.environ, "PYTHONPYCACHEPREFIX": str(folder), "CUCUMBERVISION_LOGIN": "none"}
     environment.pop("PYTHONDONTWRITEBYTECODE", None)
     names = ("guarded_app", "app", "charts")
-    modules = ", ".join(f"cucumbervision_greenhouse.dashboard.{name}" for name in names)
+    modules = ", ".join(f"cucumbervision_greenhouse.pages.{name}" for name in names)
     code = f"import streamlit.web.cli, uvicorn, cucumbervision.cli.app, {modules}"
     quiet = subprocess.DEVNULL
     subprocess.run([sys.executable, "-c", code], check=True, env=environment, stderr=quiet)

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
 from cucumbervision.pipeline.measurer import Measurer
-from cucumbervision_greenhouse.backend.settings import Settings, settings_file, write_settings
 from cucumbervision_greenhouse.rounds.adding import add_captures
+from cucumbervision_greenhouse.settings import Settings, settings_file, write_settings
 from cucumbervision_greenhouse.store.records import Round, key_of
 from cucumbervision_greenhouse.store.repository import open_store
 from cucumbervision_greenhouse.store.waiting import WaitingCaptures, waiting_folder
@@ -237,7 +237,7 @@ def tap_figures(seen: Visit, capture_s: float, rounds: int) -> Iterator[Figure]:
 def axe_findings(seen: Visit, path: Path, sizes: tuple[str, ...]) -> int:
     """Return how many elements of all pages break a rule of axe, in both themes."""
     from axe_playwright_python.sync_playwright import Axe
-    from tests.greenhouse.dashboard.test_app_sizes import PAGES
+    from tests.greenhouse.pages.test_app_sizes import PAGES
 
     with open_store(path) as store:
         fruit = next(view for view in store.detections(TODAY) if view.record.length_m)

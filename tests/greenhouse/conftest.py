@@ -116,8 +116,8 @@ def asked(house: Path, fresh_caches: None) -> Iterator[Any]:
     from starlette.applications import Starlette
     from starlette.testclient import TestClient
 
-    from cucumbervision_greenhouse.capture_page.routes import routes as capture_routes
-    from cucumbervision_greenhouse.dashboard.routes import routes
+    from cucumbervision_greenhouse.camera.page import routes as capture_routes
+    from cucumbervision_greenhouse.routes import routes
 
     with TestClient(Starlette(routes=[*routes(), *capture_routes()])) as client:
         yield client

@@ -15,8 +15,8 @@ from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.pipeline.finders import make_finder
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.run import measure_inputs
-from cucumbervision_greenhouse.backend.settings import Settings
 from cucumbervision_greenhouse.rounds.adding import add_captures
+from cucumbervision_greenhouse.settings import Settings
 from cucumbervision_greenhouse.store.records import DetectionRecord, Round
 from cucumbervision_greenhouse.store.repository import open_store
 from cucumbervision_lab.benchmark.measure_case import fruit_lengths

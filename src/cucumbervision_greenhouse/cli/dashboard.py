@@ -38,8 +38,8 @@ def dashboard(
 
     Other machines need the token in the printed link, or a proxy that logs people in.
     """
-    from cucumbervision_greenhouse.backend.settings import default_store
-    from cucumbervision_greenhouse.dashboard.server import serve
+    from cucumbervision_greenhouse.server import serve
+    from cucumbervision_greenhouse.settings import default_store
 
     serve(
         store or default_store(),

@@ -1,0 +1,536 @@
+"""The camera, or a recording or folder in its place: its newest frame, and bursts at a press.
+
+One thread reads frames while somebody looks, into a ring of the last `HELD_S`, so that a press that
+arrives late gets the picture of its moment.
+"""
+
+from __future__ import annotations
+
+import atexit
+import math
+import os
+import shutil
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol, Self
+
+import numpy as np
+import streamlit as st
+
+from cucumbervision.capture.frames import fuse_burst, moved_px
+from cucumbervision.capture.readers import (
+    RECORDING_SUFFIXES,
+    CaptureRef,
+    ReadOptions,
+    open_source,
+)
+from cucumbervision.capture.realsense import CameraConfig, RealSenseCamera
+from cucumbervision.capture.realsense_device import CameraSettings
+from cucumbervision.capture.recorder import DepthQuality, depth_quality
+from cucumbervision.capture.source import example_captures
+from cucumbervision.errors import (
+    CameraError,
+    CaptureError,
+    CucumberVisionError,
+    DepthError,
+    Message,
+    with_reason,
+)
+from cucumbervision_greenhouse.resources import settings, where
+from cucumbervision_greenhouse.settings import REPLAY_VARIABLE
+from cucumbervision_greenhouse.store.waiting import waiting_folder
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from cucumbervision.capture.frames import Capture
+
+REACH_S = 0.15  # largest distance in time of a burst's frames from its press
+FAR_S = 1.0  # a picture farther in time from a press shows another place
+HELD_S = 90.0  # how late a press may arrive, and how long an unwatched camera stays open
+PREVIEW_FPS = 15  # a D4xx offers 6, 15 and 30 at every size; aligning 30 takes a core
+_DENSE_S, _SPARSE_S = 3.0, 0.25  # all frames are kept for so long, older ones at this distance
+_MOST_FRAMES = 450
+_MOST_BYTES, _RESERVE_BYTES = 2_000_000_000, 500_000_000  # of the ring; free space that it leaves
+_CLOCK_S = 1.5  # the camera's time stamps differ by less from this machine's if both use one clock
+_LOOK_S = 0.5  # interval of reports that somebody waits
+
+
+class PictureGoneError(CameraError):
+    """The picture of the moment of a press is no longer held."""
+
+    def __init__(self) -> None:
+        super().__init__("there is no picture of that moment any more", remedy="press again")
+
+
+@dataclass(frozen=True)
+class Preview:
+    """What a feed shows now.
+
+    Parameters
+    ----------
+    state : str
+        'opening', 'live', 'playing' (a recording), 'replay' (a folder) or 'absent'.
+    capture : Capture, optional
+        The newest frame.
+    quality : DepthQuality, optional
+        How good its depth is.
+    number : int
+        Changes with every new frame.
+    message : str
+        Why there is no picture.
+    """
+
+    state: str
+    capture: Capture | None = None
+    quality: DepthQuality | None = None
+    number: int = 0
+    message: str = ""
+
+
+class Camera(Protocol):
+    """A source of frames; as a context manager it is open."""
+
+    state: str
+    settings: CameraSettings
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(self, *error: object) -> None: ...
+
+    def read(self) -> Capture | None:
+        """Wait for the next frame and return it; None at the end of a recording.
+
+        Raises
+        ------
+        CucumberVisionError
+            If the camera sends nothing, or nothing of a folder can be read.
+        """
+        ...
+
+
+class StreamCamera:
+    """A RealSense camera; with `playback` a recording, played at the rate of the preview."""
+
+    def __init__(self, config: CameraConfig) -> None:
+        self._config, self.settings = replace(config, burst=1), config.settings
+        self.state = "live" if config.playback is None else "playing"
+        self._read_count, self._begun_s = 0, 0.0
+
+    def __enter__(self) -> Self:
+        self._camera = RealSenseCamera(replace(self._config, settings=self.settings))
+        self._camera.__enter__()
+        self._read_count, self._begun_s = 0, time.monotonic()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._camera.__exit__(*error)
+
+    def read(self) -> Capture | None:
+        """Wait for the next frame with depth."""
+        while True:
+            try:
+                capture = self._camera.capture_burst()
+            except DepthError:  # something is too close to the camera
+                continue
+            except CameraError:
+                if self.state == "playing" and self._read_count:
+                    return None
+                raise
+            self._read_count += 1
+            if self.state == "playing":
+                due_s = self._begun_s + self._read_count / self._config.fps
+                time.sleep(max(0.0, due_s - time.monotonic()))
+            return capture
+
+
+class FolderCamera:
+    """Captures of a folder in turn, again and again; each stands still until it is taken."""
+
+    state = "replay"
+
+    def __init__(self, path: Path, burst: int = 5) -> None:
+        self.settings = CameraSettings()
+        self._source = open_source(path, ReadOptions(burst=burst))
+        self._refs: Iterator[CaptureRef] = iter(())
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        pass
+
+    def read(self) -> Capture | None:
+        """Return the next capture that can be read."""
+        fault = Message("holds no captures")
+        for _ in range(2):  # at the end start over once
+            for ref in self._refs:
+                try:
+                    return ref.load()
+                except CucumberVisionError as error:
+                    fault = error.line
+            self._refs = iter(self._source)
+        raise CaptureError(fault, source=self._source.path, remedy="choose another replay")
+
+
+@dataclass(frozen=True, eq=False)
+class _Frame:
+    """A frame in the ring: its slot, and a capture whose arrays lie there."""
+
+    at_s: float
+    slot: int
+    capture: Capture
+
+
+class FrameRing:
+    """The newest frames of a camera in a memory-mapped file, which goes with the program.
+
+    Parameters
+    ----------
+    folder : Path
+        Where the file is; created with the first frame.
+    most : int
+        Frames at most.
+    """
+
+    def __init__(self, folder: Path, most: int = _MOST_FRAMES) -> None:
+        self._folder, self._most = folder, most
+        self._slots: NDArray[np.uint8] = np.empty((0, 0), np.uint8)
+        self._free: list[int] = []
+        self.frames: list[_Frame] = []  # the oldest first
+
+    def put(self, capture: Capture, at_s: float) -> None:
+        """Add a frame, and remove those that are too old.
+
+        Raises
+        ------
+        CameraError
+            If the disk has no room for it.
+        """
+        arrays = (capture.depth_m, capture.color)
+        size = sum(array.nbytes for array in arrays)
+        if not len(self._slots) or size > self._slots.shape[1]:
+            self._allocate(size)
+        self._thin(at_s)
+        slot, start, copies = self._free.pop(), 0, []
+        for array in arrays:
+            place = self._slots[slot, start : start + array.nbytes]
+            copies.append(place.view(array.dtype).reshape(array.shape))
+            copies[-1][:] = array
+            start += array.nbytes
+        kept = replace(capture, depth_m=copies[0], color=copies[1])
+        self.frames.append(_Frame(at_s, slot, kept))
+
+    def clear(self) -> None:
+        """Remove all frames and the file."""
+        self.frames, self._free, self._slots = [], [], np.empty((0, 0), np.uint8)
+
+    def _allocate(self, size: int) -> None:
+        self.clear()
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+            room = min(_MOST_BYTES, shutil.disk_usage(self._folder).free - _RESERVE_BYTES)
+            count = min(room // size, self._most)
+            if count < 1:
+                raise OSError("no space left on the device")
+            with tempfile.TemporaryFile(dir=self._folder) as file:
+                if hasattr(os, "posix_fallocate"):  # a full disk is an error here, not a crash
+                    os.posix_fallocate(file.fileno(), 0, count * size)
+                else:
+                    file.truncate(count * size)
+                self._slots = np.memmap(file, np.uint8, "r+", shape=(count, size))
+        except OSError as error:
+            fault = with_reason("cannot keep its frames", str(error))
+            raise CameraError(fault, source=self._folder, remedy="free some space") from None
+        self._free = list(range(count))
+
+    def _thin(self, now_s: float) -> None:
+        kept: list[_Frame] = []
+        for frame in self.frames:
+            age_s = now_s - frame.at_s
+            is_new = age_s <= _DENSE_S or not kept or frame.at_s - kept[-1].at_s >= _SPARSE_S
+            if 0 <= age_s <= HELD_S and is_new:
+                kept.append(frame)
+            else:
+                self._free.append(frame.slot)
+        if not self._free:
+            self._free.append(kept.pop(0).slot)
+        self.frames = kept
+
+
+class Burst:
+    """The frames nearest to a moment, of which the last may still arrive."""
+
+    def __init__(self, feed: Feed, frame_count: int, pressed_s: float, reach_s: float) -> None:
+        self._feed, self._reach_s = feed, reach_s
+        self.frame_count, self.pressed_s = frame_count, pressed_s
+
+    def capture(self) -> Capture:
+        """Wait for the last frames, and return the capture fused from all.
+
+        Raises
+        ------
+        PictureGoneError
+            If no picture of the moment is held any more.
+        CucumberVisionError
+            If the camera is absent or sends nothing in time.
+        """
+        return self._feed.fused(self)
+
+    def nearest(self, frames: list[_Frame]) -> list[_Frame]:
+        """Return the frames of the burst among those that are held, in their order."""
+        by_distance = sorted(frames, key=self._away_s)
+        within = [frame for frame in by_distance if self._away_s(frame) <= self._reach_s]
+        nearest = (within or by_distance[:1])[: self.frame_count]
+        return sorted(nearest, key=lambda frame: frame.at_s)
+
+    def is_full(self, frames: list[_Frame]) -> bool:
+        """Return whether no later frame can be nearer."""
+        nearest = self.nearest(frames)
+        if not nearest:
+            return False
+        is_enough = len(nearest) == self.frame_count
+        enough_s = max(map(self._away_s, nearest)) if is_enough else self._reach_s
+        return frames[-1].at_s - self.pressed_s >= enough_s
+
+    def is_far(self, frames: list[_Frame]) -> bool:
+        """Return whether the nearest frame shows another place."""
+        return min(map(self._away_s, frames), default=math.inf) > FAR_S
+
+    def _away_s(self, frame: _Frame) -> float:
+        return abs(frame.at_s - self.pressed_s)
+
+
+class Feed:
+    """A camera for any number of viewers, open while somebody looks.
+
+    Parameters
+    ----------
+    camera : Camera
+        The source of the frames.
+    folder : Path
+        For the file of the ring.
+    unwatched_s : float
+        The camera is released after this time without a viewer.
+    """
+
+    def __init__(self, camera: Camera, folder: Path, *, unwatched_s: float = HELD_S) -> None:
+        self._camera, self._unwatched_s = camera, unwatched_s
+        self._timeout_s = CameraConfig().timeout_s
+        self._changed = threading.Condition()  # holds the lock of all that follows
+        self._ring = FrameRing(folder, 2 if self._is_still else _MOST_FRAMES)
+        self._thread: threading.Thread | None = None
+        self._watched_s = -math.inf
+        self._reopens, self._is_taken = False, False
+        self._state, self._message, self._count = "opening", "", 0
+        self._shown = Preview("opening", number=-1)
+
+    def preview(self) -> Preview:
+        """Return the newest frame; open the camera if necessary."""
+        with self._changed:
+            self._watch()
+            if self._shown.number != self._count:
+                self._shown = self._newest()
+            return self._shown
+
+    def retry(self) -> None:
+        """Search for an absent camera again."""
+        with self._changed:
+            if self._thread is None:
+                self._tell("opening")
+
+    def configure(self, chosen: CameraSettings) -> None:
+        """Stream with these settings; an open camera is opened again."""
+        with self._changed:
+            if chosen != self._camera.settings:
+                self._camera.settings, self._reopens = chosen, True
+                self._changed.notify_all()
+        self.retry()
+
+    def grab(self, burst: int, pressed_s: float) -> Burst:
+        """Begin a burst of the frames nearest to a moment; later ones may still arrive.
+
+        Parameters
+        ----------
+        burst : int
+            Frames at most, none farther from the moment than `REACH_S`, or than so many frames
+            take, unless there is none nearer. Of a folder it is its next capture.
+        pressed_s : float
+            The moment, seconds since 1970: up to `HELD_S` ago.
+
+        Raises
+        ------
+        PictureGoneError
+            If no picture of that moment is held or can still arrive.
+        """
+        with self._changed:
+            self._watch()
+            grabbed = Burst(self, burst, pressed_s, max(REACH_S, (burst - 1) / 2 / PREVIEW_FPS))
+            is_late = time.time() - pressed_s > FAR_S
+            if not self._is_still and is_late and grabbed.is_far(self._ring.frames):
+                raise PictureGoneError
+        return grabbed
+
+    def fused(self, burst: Burst) -> Capture:
+        """Return the capture of a burst, as `Burst.capture`."""
+        with self._changed:
+            if self._is_still:
+                self._wait_for(lambda: bool(self._ring.frames) and not self._is_taken, burst)
+                self._is_taken = True
+                self._changed.notify_all()
+                return _copied(self._ring.frames[-1].capture)
+            self._wait_for(lambda: burst.is_full(self._ring.frames), burst)
+            frames = burst.nearest(self._ring.frames)
+            captures = [_copied(frame.capture) for frame in frames]
+        if len(captures) == 1:
+            return captures[0]
+        fused = fuse_burst([x.color for x in captures], [x.depth_m for x in captures])
+        first = captures[0]
+        chosen = captures[fused.burst_frame]
+        return replace(chosen, **vars(fused), name=first.name, frame=first.frame)
+
+    def close(self) -> None:
+        """Release the camera."""
+        with self._changed:
+            self._watched_s, thread = -math.inf, self._thread
+            self._changed.notify_all()
+        if thread is not None:
+            thread.join(self._timeout_s)
+
+    @property
+    def _is_still(self) -> bool:
+        return self._camera.state == "replay"
+
+    def _wait_for(self, is_there: Callable[[], bool], burst: Burst) -> None:
+        """Wait for frames, with the lock held.
+
+        Raises
+        ------
+        CameraError
+            If the camera is absent, or sends nothing in time.
+        """
+        wait_s = math.inf if self._is_still else self._timeout_s + burst.frame_count
+        until_s = time.monotonic() + wait_s
+        while not is_there():
+            self._watch()
+            is_absent = self._state == "absent"
+            if is_absent or time.monotonic() > until_s:
+                if not burst.is_far(self._ring.frames):  # the available frames are enough
+                    return
+                if is_absent:
+                    raise CameraError(self._message, remedy="try again")
+                raise CameraError("the camera sends nothing", remedy="check its cable")
+            self._changed.wait(_LOOK_S)
+        if not self._is_still and burst.is_far(self._ring.frames):
+            raise PictureGoneError
+
+    def _watch(self) -> None:
+        """Report a viewer; open the camera unless it is open or absent."""
+        self._watched_s = time.monotonic()
+        if self._thread is None and self._state != "absent":
+            self._thread = threading.Thread(target=self._run, name="camera", daemon=True)
+            self._thread.start()
+
+    def _run(self) -> None:
+        state, message = "opening", ""
+        try:
+            while self._read():
+                pass  # the recording has ended, or the settings have changed
+        except CucumberVisionError as error:
+            state, message = "absent", error.line
+        except Exception as error:  # the page shows it instead of the picture
+            state, message = "absent", f"{type(error).__name__}: {error}"
+        with self._changed:
+            self._thread = None
+            self._ring.clear()
+            self._tell(state, message)
+
+    def _read(self) -> bool:
+        """Read frames; return False without a viewer, True if the camera must be opened again."""
+        self._reopens = False
+        with self._camera as camera:
+            while self._is_watched() and not self._reopens:
+                capture = camera.read()
+                if capture is None:
+                    return True
+                with self._changed:
+                    self._ring.put(capture, _taken_s(capture, time.time()))
+                    self._is_taken = False
+                    self._tell(camera.state)
+                    while self._is_still and not self._is_taken and self._is_watched():
+                        self._changed.wait(_LOOK_S)
+        return self._reopens
+
+    def _is_watched(self) -> bool:
+        return time.monotonic() - self._watched_s < self._unwatched_s
+
+    def _tell(self, state: str, message: str = "") -> None:
+        self._state, self._message = state, message
+        self._count += 1
+        self._changed.notify_all()
+
+    def _newest(self) -> Preview:
+        """Return the newest frame with its quality, for which the camera's motion counts."""
+        if not self._ring.frames:
+            return Preview(self._state, number=self._count, message=self._message)
+        *before, frame = self._ring.frames[-2:]
+        capture = looked_at = _copied(frame.capture)
+        is_next = before and not self._is_still and frame.at_s - before[0].at_s <= REACH_S
+        if is_next and before[0].capture.color.shape == capture.color.shape:
+            [moved] = moved_px(before[0].capture.color, [capture.color])
+            looked_at = replace(capture, moved_px=moved)
+        return Preview(self._state, capture, depth_quality(looked_at), self._count)
+
+
+def _copied(capture: Capture) -> Capture:
+    return replace(capture, color=capture.color.copy(), depth_m=capture.depth_m.copy())
+
+
+def _taken_s(capture: Capture, now_s: float) -> float:
+    """Return the camera's time stamp if its clock is this machine's, else the time of arrival."""
+    camera_s = capture.timestamp_s
+    return camera_s if camera_s is not None and 0 <= now_s - camera_s < _CLOCK_S else now_s
+
+
+def _feed_of(name: str, source: Camera) -> Feed:
+    feed = Feed(source, waiting_folder(where()).with_suffix(".frames") / name)
+    atexit.register(feed.close)  # the next program may need the camera at once
+    return feed
+
+
+@st.cache_resource(show_spinner=False)
+def camera() -> Feed:
+    """Return the camera, which opens for its first viewer."""
+    return _feed_of(
+        "camera", StreamCamera(CameraConfig(fps=PREVIEW_FPS, settings=settings().camera))
+    )
+
+
+@st.cache_resource(show_spinner=False)
+def _replay(burst: int) -> Feed:
+    chosen = Path(os.environ.get(REPLAY_VARIABLE) or example_captures())
+    if chosen.suffix.lower() in RECORDING_SUFFIXES:
+        # As a camera would send it, so that a walk can be tried.
+        playing = CameraConfig(playback=chosen, warm_up=0, fps=PREVIEW_FPS)
+        return _feed_of("replay", StreamCamera(playing))
+    return _feed_of("replay", FolderCamera(chosen, burst))
+
+
+def replay_named() -> bool:
+    """Return whether the command named a replay, which is then shown first."""
+    return bool(os.environ.get(REPLAY_VARIABLE))
+
+
+def feed(kind: str) -> Feed:
+    """Return the camera, or for 'replay' the replay.
+
+    Raises
+    ------
+    CaptureError
+        If the replay cannot be read.
+    """
+    return _replay(settings().burst) if kind == "replay" else camera()

@@ -1,0 +1,160 @@
+"""The shutter: a press grabs a burst, which one thread fuses and saves; it is measured later."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import OrderedDict
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from cucumbervision.errors import CameraError
+from cucumbervision_greenhouse.camera.cameras import PictureGoneError
+from cucumbervision_greenhouse.jobs import fault_of
+from cucumbervision_greenhouse.rounds.demonstration import round_for_capture
+from cucumbervision_greenhouse.rounds.walking import last_step, unless_taken
+from cucumbervision_greenhouse.store.records import key_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from cucumbervision.capture.frames import Stop
+    from cucumbervision_greenhouse.camera.cameras import Burst, Feed
+    from cucumbervision_greenhouse.store.repository import Store
+    from cucumbervision_greenhouse.store.views import StopSummary
+    from cucumbervision_greenhouse.store.waiting import Waiting, WaitingCaptures
+
+_REMEMBERED = 2000  # presses that are remembered, since a browser may send them again
+
+
+@dataclass(frozen=True)
+class Press:
+    """A press of the button.
+
+    Parameters
+    ----------
+    number : str
+        Number given by the browser: a press that is sent twice counts once.
+    at_s : float
+        When, seconds since 1970, by this machine's clock.
+    """
+
+    number: str
+    at_s: float
+
+
+@dataclass(frozen=True, eq=False)
+class Pressed:
+    """The outcome of a press.
+
+    Parameters
+    ----------
+    stop : Stop
+        Where it was pressed.
+    pressed_s : float
+        When.
+    queued : Future of Waiting
+        The capture, once it is on disk.
+    """
+
+    stop: Stop
+    pressed_s: float
+    queued: Future[Waiting]
+
+    @property
+    def error(self) -> str:
+        """Why there is no capture; empty if there is one, or may be."""
+        return fault_of(self.queued)
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether its picture is no longer held, so that it would be refused again."""
+        return self.queued.done() and isinstance(self.queued.exception(), PictureGoneError)
+
+    @property
+    def moved(self) -> Stop | None:
+        """The place that it got instead, if another stop had its place."""
+        if not self.queued.done() or self.queued.exception() is not None:
+            return None
+        stop = self.queued.result().stop
+        return None if stop.position_m == self.stop.position_m else stop
+
+
+class Shutter:
+    """Grabs and saves a burst at each press.
+
+    Parameters
+    ----------
+    store : Store
+        Where the rounds are.
+    waiting : WaitingCaptures
+        Where captures are kept until they are measured.
+    on_queued : callable
+        Called after each capture that was written to the queue.
+    """
+
+    def __init__(
+        self, store: Store, waiting: WaitingCaptures, on_queued: Callable[[], object]
+    ) -> None:
+        self._store, self._waiting, self._on_queued = store, waiting, on_queued
+        self._pool = ThreadPoolExecutor(1, thread_name_prefix="shutter")
+        self._lock = threading.Lock()
+        self._pressed: OrderedDict[tuple[str, str], Pressed] = OrderedDict()
+
+    def press(
+        self, feed: Feed, burst: int, round_key: str, stop: Stop, press: Press
+    ) -> Pressed | None:
+        """Grab a burst for a press; return its outcome, or None if it was saved before.
+
+        The same press sent again gets the same outcome and makes one stop. If the feed no longer
+        holds its picture, the outcome is that error; after another fault, such as a full disk, it
+        is tried again. Returns at once: other threads wait for the burst's last frames and for the
+        disk.
+        """
+        name = (round_key, press.number)
+        at_s = min(press.at_s, time.time())
+        with self._lock:
+            before = self._pressed.get(name)
+            if before is not None and (before.is_lost or not before.error):
+                return before
+            if self._was_kept(key_of("press", *name)):  # before this program was started
+                return None
+            queued: Future[Waiting] = Future()
+            try:
+                grabbed = feed.grab(burst, at_s)
+            except CameraError as error:
+                queued.set_exception(error)
+            else:
+                queued = self._pool.submit(
+                    self._keep, grabbed, round_key, stop, Press(press.number, at_s)
+                )
+            self._pressed[name] = Pressed(stop, at_s, queued)
+            while len(self._pressed) > _REMEMBERED:
+                self._pressed.popitem(last=False)
+            return self._pressed[name]
+
+    def _was_kept(self, key: str) -> bool:
+        return self._waiting.holds(key) or self._store.stop_is_deleted(key) is not None
+
+    def pressed(self, round_key: str) -> list[Pressed]:
+        """Return the remembered presses of a round, the oldest first."""
+        with self._lock:
+            return [press for (key, _), press in self._pressed.items() if key == round_key]
+
+    def close(self) -> None:
+        """Save all presses, then end."""
+        self._pool.shutdown(wait=True)
+
+    def _keep(self, grabbed: Burst, round_key: str, stop: Stop, press: Press) -> Waiting:
+        capture = grabbed.capture()
+        home = round_for_capture(self._store, round_key, simulated=capture.simulated)
+        waiting = [queued.stop for queued in self._waiting.captures() if queued.round_key == home]
+        taken: list[Stop | StopSummary] = [*self._store.stops(home), *waiting]
+        stop = replace(unless_taken(stop, taken), step=last_step(taken) + 1)
+        capture = replace(capture, stop=stop, timestamp_s=press.at_s)
+        queued = self._waiting.put(
+            capture, key_of("press", round_key, press.number), home, press.at_s
+        )
+        self._on_queued()
+        return queued

@@ -1,0 +1,382 @@
+"""One fruit drawn: its capture with switchable layers and a ruler."""
+
+from __future__ import annotations
+
+import base64
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import cv2
+import numpy as np
+
+from cucumbervision.capture.frames import valid_depth
+from cucumbervision.instances.mask_codes import decode_rle
+from cucumbervision.measurement.methods import method_color
+from cucumbervision.measurement.paper_methods import window_depths
+from cucumbervision.pipeline.overlay import as_jpeg, draw_polyline, mask_outlines, path_px
+from cucumbervision_greenhouse.language import gettext as _
+from cucumbervision_greenhouse.words import label_words, length_words
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from cucumbervision.capture.frames import Capture
+    from cucumbervision.capture.intrinsics import Intrinsics
+    from cucumbervision_greenhouse.settings import Units
+    from cucumbervision_greenhouse.store.records import (
+        CaptureRecord,
+        DetectionRecord,
+        JointRecord,
+        MethodRecord,
+    )
+    from cucumbervision_greenhouse.store.views import DetectionSummary
+
+CLASS_GREENS = ("#1B7837", "#5AAE61", "#A6DBA0")
+"""Colours of a class, the best darkest."""
+
+OTHER_COLORS = {
+    "no class": "#E69F00",
+    "too short": "#56B4E9",
+    "too long": "#D55E00",
+    "undecided": "#999999",
+    "not measured": "#767676",
+}
+"""Colours of what has no class."""
+
+PICTURE_FILES = Path(__file__).with_name("static")
+"""Folder of the element that shows a picture on the capture page and the dashboard."""
+_JOINT_COLOR, _JOINT_RGB = "#FF4FD8", (255, 79, 216)
+_OUTLINE_STEPS = 8  # of a tube's outline between two points of its path
+_MASK_COLOR, _KEYPOINT_COLOR, _BOX_COLOR = "#009E73", "#D55E00", "#F0E442"
+_THUMBNAIL_PX = 96
+_RULER_PX = 7
+_BAR_M = {"cm": 0.10, "in": 0.1016}
+
+
+def as_data_url(picture: NDArray[np.uint8], widest_px: int = 1280) -> str:
+    """Return a picture as a JPEG in a data URL, as `as_jpeg` makes it.
+
+    Examples
+    --------
+    >>> as_data_url(np.zeros((4, 4, 3), np.uint8))[:23]
+    'data:image/jpeg;base64,'
+    """
+    return f"data:image/jpeg;base64,{base64.b64encode(as_jpeg(picture, widest_px)).decode()}"
+
+
+def depth_picture(depth_m: NDArray[np.float32], units: Units) -> tuple[NDArray[np.uint8], str]:
+    """Return depth in colours (near red, far blue, no reading black), and the range in words.
+
+    Returns
+    -------
+    picture : ndarray of uint8, shape (H, W, 3)
+        RGB.
+    words : str
+        The range of the colours.
+
+    Examples
+    --------
+    >>> from cucumbervision_greenhouse.settings import Units
+    >>> depth_picture(np.array([[0.0, 0.5, 1.0]], np.float32), Units("cm"))[1]
+    'red 50 cm, blue 100 cm, black no reading'
+    """
+    valid = valid_depth(depth_m)
+    if not valid.any():
+        return np.zeros((*depth_m.shape, 3), np.uint8), _("no reading at all")
+    nearest_m, farthest_m = np.percentile(depth_m[valid], [1, 99])
+    share = np.clip((farthest_m - depth_m) / max(farthest_m - nearest_m, 1e-3), 0, 1)
+    colored = cv2.applyColorMap((255 * share).astype(np.uint8), cv2.COLORMAP_TURBO)
+    picture = np.ascontiguousarray(colored[..., ::-1])
+    picture[~valid] = 0
+    nearest_words, farthest_words = (
+        f"{units.value(float(x)):.0f} {units.name}" for x in (nearest_m, farthest_m)
+    )
+    words = _("red {nearest}, blue {farthest}, black no reading").format(
+        nearest=nearest_words, farthest=farthest_words
+    )
+    return cast("NDArray[np.uint8]", picture), words
+
+
+def fruit_layers(
+    record: DetectionRecord, camera: Intrinsics, together: MethodRecord | None = None
+) -> list[dict[str, Any]]:
+    """Return what was found and measured of a fruit as layers of lines, in pixels.
+
+    Parameters
+    ----------
+    record : DetectionRecord
+        The fruit in its capture.
+    camera : Intrinsics
+        Of that capture.
+    together : MethodRecord, optional
+        The tube in all its views, in this camera's coordinates (`joint_tube`).
+
+    Returns
+    -------
+    list of dict
+        'name', 'color', 'on' (shown at first), 'detail' (offered behind 'Details') and 'shapes':
+        each 'kind' ('area', 'line' or 'dot') and 'points' (x and y after each other).
+    """
+
+    def layer(name: str, color: str, on: bool, shapes: list[dict[str, Any]]) -> dict[str, Any]:
+        detail = name != _("Outline")
+        return {"name": name, "color": color, "on": on, "detail": detail, "shapes": shapes}
+
+    layers = []
+    if record.mask is not None:
+        mask = decode_rle(record.mask, camera.height, camera.width)
+        areas = [{"kind": "area", "points": line} for line in mask_outline(mask)]
+        layers.append(layer(_("Outline"), _MASK_COLOR, True, areas))
+    layers.append(layer(_("Box"), _BOX_COLOR, record.mask is None, [_box_line(record)]))
+    if record.keypoints:
+        visible = [(u, v) for u, v, confidence in record.keypoints if confidence > 0.25]
+        dots = [{"kind": "dot", "points": [round(u, 1), round(v, 1)]} for u, v in visible]
+        layers.append(layer(_("Keypoints"), _KEYPOINT_COLOR, False, dots))
+    for method in record.methods:
+        if shapes := _path_shapes(method, camera):
+            name = method.method
+            if method.diameter_m:
+                name = _("{method} axis").format(method=method.method)
+            chosen = method.method == record.method
+            layers.append(layer(name, method_color(method.method), chosen, shapes))
+    if together is not None:
+        edge = tube_outline(together, camera).round(1).reshape(-1).tolist()
+        layers.append(
+            layer(_("All views"), _JOINT_COLOR, False, [{"kind": "area", "points": edge}])
+        )
+    return layers
+
+
+def joint_tube(joint: JointRecord, key: str) -> MethodRecord | None:
+    """Return the tube in all views of a fruit in the camera coordinates of one of them.
+
+    Parameters
+    ----------
+    joint : JointRecord
+        With path and poses, as `Store.joint_drawing` gives it.
+    key : str
+        The view's.
+
+    Returns
+    -------
+    MethodRecord or None
+        None where the tube was not fitted to that view.
+    """
+    numbers = joint.poses.get(key)
+    if numbers is None or joint.record is None or not joint.record.methods:
+        return None
+    pose, tube = np.reshape(numbers, (4, 4)), joint.record.methods[0]
+    path = np.array(tube.path_m).reshape(-1, 3) @ pose[:3, :3].T + pose[:3, 3]
+    return replace(tube, path_m=tuple(map(tuple, path.tolist())))
+
+
+def tube_outline(tube: MethodRecord, camera: Intrinsics) -> NDArray[np.float64]:
+    """Return the outline of a tube in the picture, shape (N, 2): pixels, one edge and back.
+
+    Between the path's points the square of the diameter is interpolated linearly, so that ends are
+    round.
+
+    Examples
+    --------
+    >>> from cucumbervision.capture.intrinsics import Intrinsics
+    >>> from cucumbervision_greenhouse.store.records import MethodRecord
+    >>> line = ((-0.1, 0.0, 0.5), (0.1, 0.0, 0.5))
+    >>> tube = MethodRecord("M6", path_m=line, diameter_m=(0.04, 0.04))
+    >>> edge = tube_outline(tube, Intrinsics(640, 480, 500.0, 500.0, 320.0, 240.0))
+    >>> edge.min(axis=0).round().tolist(), edge.max(axis=0).round().tolist()
+    ([220.0, 220.0], [420.0, 260.0])
+    """
+    path = np.array(tube.path_m, np.float64).reshape(-1, 3)
+    if len(path) < 2 or len(tube.diameter_m) != len(path) or (path[:, 2] <= 0).any():
+        return np.empty((0, 2))
+    index = np.arange(len(path))
+    fine = np.linspace(0, index[-1], _OUTLINE_STEPS * index[-1] + 1)
+    path = np.stack([np.interp(fine, index, values) for values in path.T], axis=1)
+    diameter_m = np.sqrt(np.interp(fine, index, np.square(tube.diameter_m)))
+    line = camera.project(path)
+    along = np.gradient(line, axis=0)
+    along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
+    half = camera.fx_px * diameter_m / 2 / path[:, 2]
+    across = np.stack([-along[:, 1], along[:, 0]], axis=1) * half[:, None]
+    return np.vstack([line + across, (line - across)[::-1]])
+
+
+def drawn_on(color: NDArray[np.uint8], tube: MethodRecord, camera: Intrinsics) -> NDArray[np.uint8]:
+    """Return a picture with a tube's outline and axis drawn on it."""
+    edge = tube_outline(tube, camera)
+    if not len(edge):
+        return color
+    axis = camera.project(np.array(tube.path_m))
+    drawn = color.copy()
+    draw_polyline(drawn, edge, _JOINT_RGB, 2, closed=True)
+    draw_polyline(drawn, axis, _JOINT_RGB, 2)
+    return drawn
+
+
+def stop_layers(
+    capture: CaptureRecord,
+    fruit: Sequence[DetectionSummary],
+    grades: Mapping[str, str],
+    units: Units,
+) -> list[dict[str, Any]]:
+    """Return all fruit of a capture as layers, one a class, each fruit with its length.
+
+    Parameters
+    ----------
+    capture : CaptureRecord
+        With masks, as `Store.stop` returns it.
+    fruit : sequence of DetectionSummary
+        Its fruit with all corrections.
+    grades : mapping of str to str
+        Names of their classes, by the fruit's keys.
+    """
+    masks = {fruit.number: fruit.mask for fruit in capture.fruit}
+    layers: dict[str, dict[str, Any]] = {}
+    for view in fruit:
+        record, name = view.record, grades[view.key]
+        color = class_color(name)
+        shapes = layers.setdefault(
+            name, {"name": label_words(name), "color": color, "on": True, "shapes": []}
+        )
+        rle = record.mask or masks.get(record.number)
+        if rle is None:
+            lines = [_box_line(record)]
+        else:
+            mask = decode_rle(rle, capture.height_px, capture.width_px)
+            lines = [{"kind": "area", "points": line} for line in mask_outline(mask)]
+        centre_px = [
+            (record.box_x1_px + record.box_x2_px) / 2,
+            (record.box_y1_px + record.box_y2_px) / 2,
+        ]
+        text = length_words(record, units)
+        shapes["shapes"] += [*lines, {"kind": "label", "points": centre_px, "text": text}]
+    return list(layers.values())
+
+
+def _box_line(record: DetectionRecord) -> dict[str, Any]:
+    edges = (record.box_x1_px, record.box_y1_px, record.box_x2_px, record.box_y2_px)
+    x1, y1, x2, y2 = (round(edge, 1) for edge in edges)
+    return {"kind": "line", "points": [x1, y1, x2, y1, x2, y2, x1, y2, x1, y1]}
+
+
+def _path_shapes(method: MethodRecord, camera: Intrinsics) -> list[dict[str, Any]]:
+    points = path_px(method.path_m, camera)
+    if points is None:
+        return []
+    pixels = np.round(points, 1)
+    line = {"kind": "line", "points": pixels.reshape(-1).tolist()}
+    return [line, *({"kind": "dot", "points": pixels[k].tolist()} for k in (0, -1))]
+
+
+def mask_outline(mask: NDArray[np.bool_]) -> list[list[float]]:
+    """Return a mask's outlines as polygons: x and y after each other, pixels.
+
+    Examples
+    --------
+    >>> mask = np.zeros((6, 6), bool)
+    >>> mask[1:5, 1:4] = True
+    >>> mask_outline(mask)
+    [[1, 1, 1, 4, 3, 4, 3, 1]]
+    """
+    outlines = (cv2.approxPolyDP(line, 0.7, closed=True) for line in mask_outlines(mask))
+    return [line.reshape(-1).tolist() for line in outlines if len(line) > 2]
+
+
+def scale_bar(camera: Intrinsics, distance_m: float | None, units: Units) -> dict[str, Any] | None:
+    """Return a scale bar's length in pixels at a distance, and its label.
+
+    Examples
+    --------
+    >>> from cucumbervision.capture.intrinsics import Intrinsics
+    >>> from cucumbervision_greenhouse.settings import Units
+    >>> scale_bar(Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0), 0.5, Units("cm"))
+    {'px': 120.0, 'label': '10 cm at 50 cm distance'}
+    """
+    if not distance_m:
+        return None
+    length_m = _BAR_M[units.name]
+    distance = units.value(distance_m)
+    label = _("{length} at {distance} distance").format(
+        length=f"{units.value(length_m):g} {units.name}", distance=f"{distance:.0f} {units.name}"
+    )
+    return {"px": round(length_m * camera.fx_px / distance_m, 1), "label": label}
+
+
+def ruler_m(capture: Capture, a_px: tuple[float, float], b_px: tuple[float, float]) -> float | None:
+    """Compute the straight distance between two points of the picture, metres.
+
+    Each point's depth is the median of the readings in a window of 7x7; None where one has none.
+
+    Examples
+    --------
+    >>> from cucumbervision.capture.frames import Capture
+    >>> from cucumbervision.capture.intrinsics import Intrinsics
+    >>> camera = Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0)
+    >>> depth = np.full((480, 640), 0.6, np.float32)
+    >>> wall = Capture(np.zeros((480, 640, 3), np.uint8), depth, camera, "a")
+    >>> round(ruler_m(wall, (220, 240), (420, 240)), 4)
+    0.2
+    """
+    ends = np.array([a_px, b_px], np.float64)
+    z = window_depths(capture.depth_m, ends[:, 0], ends[:, 1], _RULER_PX, None)
+    if not np.isfinite(z).all():
+        return None
+    x, y = capture.intrinsics.rays(ends[:, 0], ends[:, 1])
+    points = np.stack([x * z, y * z, z], axis=1)
+    return float(np.linalg.norm(points[1] - points[0]))
+
+
+def crop(
+    thumbnail: NDArray[np.uint8],
+    record: DetectionRecord,
+    width_px: int,
+    side_px: int = _THUMBNAIL_PX,
+    half_share: float = 0.58,
+) -> NDArray[np.uint8]:
+    """Return a fruit cut out of its capture's picture, as a square.
+
+    Parameters
+    ----------
+    thumbnail : ndarray of uint8, shape (h, w, 3)
+        The capture's picture, or a smaller one of it.
+    width_px : int
+        Width of the capture itself.
+    side_px : int
+        Of the square.
+    half_share : float
+        Half of the square's side, as a share of the fruit's box: 0.5 and more.
+
+    Examples
+    --------
+    >>> from cucumbervision_greenhouse.store.records import DetectionRecord
+    >>> small = np.zeros((60, 80, 3), np.uint8)
+    >>> box = DetectionRecord(1, box_x1_px=10, box_y1_px=10, box_x2_px=20, box_y2_px=40)
+    >>> crop(small, box, 160).shape
+    (96, 96, 3)
+    """
+    scale = thumbnail.shape[1] / max(width_px, 1)
+    x1, y1 = record.box_x1_px * scale, record.box_y1_px * scale
+    x2, y2 = record.box_x2_px * scale, record.box_y2_px * scale
+    half = max(x2 - x1, y2 - y1, 8.0) * half_share
+    first_x, top = round((x1 + x2) / 2 - half), round((y1 + y2) / 2 - half)
+    side = max(round(2 * half), 8)
+    reach = side + max(thumbnail.shape[:2])
+    padded = cv2.copyMakeBorder(thumbnail, reach, reach, reach, reach, cv2.BORDER_REPLICATE)
+    first_x, top = np.clip([first_x + reach, top + reach], 0, 2 * reach).tolist()
+    cut = padded[top : top + side, first_x : first_x + side]
+    small = cv2.resize(cut, (side_px, side_px), interpolation=cv2.INTER_AREA)
+    return cast("NDArray[np.uint8]", small)
+
+
+def class_color(name: str) -> str:
+    """Return the colour of a class: greens for classes, the best darkest.
+
+    Examples
+    --------
+    >>> class_color("class I"), class_color("too long")
+    ('#1B7837', '#D55E00')
+    """
+    return OTHER_COLORS.get(name) or CLASS_GREENS[min(name.count("I"), len(CLASS_GREENS)) - 1]

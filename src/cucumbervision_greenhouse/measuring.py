@@ -1,0 +1,492 @@
+"""Measure queued captures into the store, and single fruit with a corrected mask."""
+
+from __future__ import annotations
+
+import threading
+from contextlib import suppress
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from cucumbervision.capture.frames import Capture, valid_depth
+from cucumbervision.capture.readers import open_source
+from cucumbervision.capture.source import example_captures
+from cucumbervision.errors import (
+    CucumberVisionError,
+    DiskFullError,
+    InstancesError,
+    StoreAwayError,
+)
+from cucumbervision.instances.instance import Instance, MaskSource
+from cucumbervision.instances.mask_codes import decode_rle
+from cucumbervision.instances.masks import box_of_mask, mask_iou
+from cucumbervision.measurement.flags import Flag
+from cucumbervision.pipeline.batch import in_turn
+from cucumbervision.pipeline.measurer import Failure, Measurer
+from cucumbervision_greenhouse.rounds.adding import (
+    RoundCapture,
+    add_all,
+    capture_sha256,
+    require_store,
+)
+from cucumbervision_greenhouse.rounds.poses import placed_fruit, stored_pose
+from cucumbervision_greenhouse.rounds.stop_records import fruit_record, stored_calibration
+from cucumbervision_greenhouse.store.views import DetectionFilter, Verdict
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from cucumbervision.measurement.result import Fruit
+    from cucumbervision.perception.networks import NetworkSegmenter
+    from cucumbervision.perception.registry import Registry
+    from cucumbervision.pipeline.options import MeasureOptions
+    from cucumbervision_greenhouse.jobs import Job
+    from cucumbervision_greenhouse.store.records import (
+        CaptureRecord,
+        DetectionRecord,
+        Point,
+        StopRecord,
+    )
+    from cucumbervision_greenhouse.store.repository import Store
+    from cucumbervision_greenhouse.store.views import DetectionDetail
+    from cucumbervision_greenhouse.store.waiting import Waiting, WaitingCaptures
+
+
+class SharedMeasurer:
+    """The measurer of all viewers: loaded once, and again only when the options change.
+
+    Parameters
+    ----------
+    registry : Registry
+        Where the networks lie.
+    """
+
+    def __init__(self, registry: Registry) -> None:
+        self._registry = registry
+        self._lock = threading.Lock()
+        self._loaded: Measurer | None = None
+        self._segmenter: NetworkSegmenter | None = None
+        self._prompted: tuple[object, NDArray[np.bool_] | None] = (None, None)
+        self._drafted: tuple[object, NDArray[np.bool_] | None] = (None, None)
+
+    def with_options(self, options: MeasureOptions) -> Measurer:
+        """Return a measurer with these options, and the calibration as its file is now.
+
+        Raises
+        ------
+        CalibrationError
+            If it cannot be read.
+        """
+        fresh = Measurer(options, self._registry)
+        site = fresh.site
+        with self._lock:
+            loaded = self._with_networks_of(options) or fresh
+            if (loaded.options, loaded.site) != (options, site):
+                loaded = loaded.calibrated_by(site, options.calibration)
+            self._loaded = loaded
+        return loaded
+
+    def _with_networks_of(self, options: MeasureOptions) -> Measurer | None:
+        """Return the loaded measurer if it differs from these options by its calibration only."""
+        loaded = self._loaded
+        if loaded and replace(loaded.options, calibration=options.calibration) == options:
+            return loaded
+        return None
+
+    def _measure_stored(
+        self, capture: Capture, stop: StopRecord, instance: Instance, options: MeasureOptions
+    ) -> Fruit:
+        """Measure a fruit of a stored capture with the calibration that its depth has already.
+
+        The one in the options may be another camera's, or newer.
+        """
+        plain = replace(options, calibration=None)
+        measurer = self._with_networks_of(options) or self.with_options(plain)
+        return measurer.calibrated_by(stored_calibration(stop)).measure_instance(capture, instance)
+
+    def warm_up(self, options: MeasureOptions) -> None:
+        """Load the networks, and run each once, since the first run takes much longer."""
+        first = next(iter(open_source(example_captures()))).load()
+        # Without its own masks, which would replace the networks' detections.
+        self.with_options(options).measure(replace(first, masks=()))
+        with suppress(InstancesError):  # the result is ignored
+            self.mask_from_click(first, (first.width / 2, first.height / 2))
+
+    def prepare(self, capture: Capture) -> None:
+        """Compute what outlining needs of a picture, before somebody taps into it."""
+        self._sam().mask_at(capture.color, capture.width / 2, capture.height / 2)
+
+    def mask_from_click(self, capture: Capture, at_px: tuple[float, float]) -> NDArray[np.bool_]:
+        """Return the mask of the fruit at a point.
+
+        The final mask comes from the box of the segmented object, as for all other fruit: the mask
+        of a point alone is narrower, so that visible ends seem hidden.
+
+        Raises
+        ------
+        InstancesError
+            If there is none.
+        """
+        segmented = self._draft(capture, at_px)
+        x1, y1, x2, y2 = box_of_mask(segmented).tolist()
+        try:
+            drawn = self.mask_from_box(capture, (x1, y1, x2, y2))
+        except InstancesError:
+            return segmented
+        return drawn if mask_iou(drawn, segmented) > _SAME_IOU else segmented
+
+    def _draft(self, capture: Capture, at_px: tuple[float, float]) -> NDArray[np.bool_]:
+        """Return the mask of a point alone; the last one is held."""
+        prompt = capture_sha256(capture), *at_px
+        prompted, mask = self._drafted
+        if mask is None or prompted != prompt:
+            mask = _some(self._sam().mask_at(capture.color, *at_px))
+            self._drafted = prompt, mask
+        return mask
+
+    def draft_of(
+        self, capture: Capture, point: Sequence[float] | None, box: Sequence[float] | None
+    ) -> NDArray[np.bool_]:
+        """Return what is shown at once of a point or a box, before `mask_of` is measured.
+
+        Of a point that is the narrower mask of the point alone, which takes half the time.
+
+        Raises
+        ------
+        InstancesError
+            If there is none.
+        """
+        if not point:
+            return self.mask_of(capture, point, box)
+        return self._draft(capture, (float(point[0]), float(point[1])))
+
+    def mask_from_box(
+        self, capture: Capture, box_px: tuple[float, float, float, float]
+    ) -> NDArray[np.bool_]:
+        """Return the mask of the fruit in a box.
+
+        Raises
+        ------
+        InstancesError
+            If there is none.
+        """
+        x1, y1, x2, y2 = box_px
+        box = np.array([min(x1, x2), min(y1, y2), max(x1, x2), max(y1, y2)])
+        (segmented,) = self._sam().segment(capture.color, [Instance(box)])
+        return _some(segmented.mask)
+
+    def mask_of(
+        self,
+        capture: Capture,
+        point: Sequence[float] | None,
+        box: Sequence[float] | None,
+    ) -> NDArray[np.bool_]:
+        """Return the mask of the fruit at a point, or in a box where none is given.
+
+        The last one is held: one of a box is shown as an outline first, and measured then.
+
+        Raises
+        ------
+        InstancesError
+            If there is none.
+        """
+        prompt = capture_sha256(capture), *map(float, point or box or ())
+        prompted, mask = self._prompted
+        if mask is None or prompted != prompt:
+            if point:
+                mask = self.mask_from_click(capture, (float(point[0]), float(point[1])))
+            else:
+                x1, y1, x2, y2 = (float(value) for value in box or ())
+                mask = self.mask_from_box(capture, (x1, y1, x2, y2))
+            self._prompted = prompt, mask
+        return mask
+
+    def correct(
+        self,
+        store: Store,
+        detail: DetectionDetail,
+        capture: Capture,
+        mask: NDArray[np.bool_],
+        options: MeasureOptions,
+        drawn_by: MaskSource = MaskSource.SAM,
+    ) -> int:
+        """Measure a stored fruit again with this mask, and save the result as a correction; logged.
+
+        `capture` is the fruit's, as `stored_capture` gives it.
+
+        Raises
+        ------
+        InstancesError
+            If the mask is another fruit's.
+        """
+        record = detail.view.record
+        _refuse_copy(store, detail.stop, detail.capture, mask, but=record.number)
+        keypoints = _kept_keypoints(record.keypoints, mask)
+        instance = Instance(
+            box=box_of_mask(mask),
+            confidence=record.score,
+            class_name=record.label,
+            mask=mask,
+            mask_source=drawn_by,
+            detector_mask=None,
+            keypoints=keypoints,
+        )
+        measurement = self._measure_stored(capture, detail.stop, instance, options)
+        return store.correct(
+            detail.view.key, _placed(capture, detail.stop, measurement, record.number)
+        )
+
+    def add(
+        self,
+        store: Store,
+        stop: StopRecord,
+        capture: Capture,
+        mask: NDArray[np.bool_],
+        options: MeasureOptions,
+    ) -> str:
+        """Measure a missed fruit, add it to its capture, and return its key; logged.
+
+        Parameters
+        ----------
+        store : Store
+            Where the stop is.
+        stop : StopRecord
+            The stop.
+        capture : Capture
+            One of its captures, as `stored_capture` gives it.
+        mask : ndarray of bool, shape (H, W)
+            The fruit.
+        options : MeasureOptions
+            How to measure.
+
+        Raises
+        ------
+        InstancesError
+            If the mask is another fruit's, or no fruit can be so large.
+
+        Notes
+        -----
+        A measurement that does not look like a fruit (`is_doubtful`) is flagged, and not accepted.
+        """
+        if mask.mean() > _LARGEST_SHARE:
+            raise InstancesError(
+                "no fruit was found there: the outline takes most of the picture",
+                remedy="tap its middle or draw a closer box",
+            )
+        taken = next(candidate for candidate in stop.captures if candidate.name == capture.name)
+        _refuse_copy(store, stop, taken, mask)
+        instance = Instance(box_of_mask(mask), mask=mask, mask_source=MaskSource.SAM)
+        measurement = self._measure_stored(capture, stop, instance, options)
+        fruit = _placed(capture, stop, measurement, 1)
+        if is_doubtful(measurement, capture):
+            flags = f"{fruit.flags} {Flag.DOUBTFUL}".strip()
+            fruit = replace(fruit, flags=flags, score=_DOUBTFUL_SCORE)
+        return store.add_fruit(stop.key, capture.name, fruit)
+
+    def _sam(self) -> NetworkSegmenter:
+        with self._lock:
+            if self._segmenter is None:
+                from cucumbervision.perception.networks import open_segmenter
+
+                self._segmenter = open_segmenter(prompt="box", registry=self._registry)
+            return self._segmenter
+
+
+def _placed(capture: Capture, stop: StopRecord, fruit: Fruit, number: int) -> DetectionRecord:
+    """Return a fruit of a stored capture, with its offset along the row."""
+    record = fruit_record(capture, number, fruit)
+    return placed_fruit(record, stored_pose(stop.pose, stop.side))
+
+
+def measure_waiting(
+    waiting: WaitingCaptures,
+    measurer: SharedMeasurer,
+    store: Store,
+    options: Callable[[], MeasureOptions],
+    settle: Callable[[str], str],
+    job: Job,
+) -> int:
+    """Measure queued captures until the queue is empty; return how many became stops.
+
+    A capture leaves the queue after its stop is in the store, so that it is never lost. Options or
+    a calibration that change meanwhile count from the next capture on.
+
+    Parameters
+    ----------
+    waiting : WaitingCaptures
+        The captures.
+    settle : callable
+        Called with a round's key after its last queued capture; returns what went wrong.
+    job : Job
+        Counts the captures of each round, and gets a note for each that could not be measured.
+
+    Raises
+    ------
+    CucumberVisionError
+        If nothing can be measured at all: a network or the calibration cannot be loaded, the disk
+        is full, or the store is not there.
+    """
+    while waiting.captures():
+        _measure_alike(waiting, measurer, store, options, settle, job)
+    return len(job.measured)
+
+
+def _measure_alike(
+    waiting: WaitingCaptures,
+    measurer: SharedMeasurer,
+    store: Store,
+    options: Callable[[], MeasureOptions],
+    settle: Callable[[str], str],
+    job: Job,
+) -> None:
+    """Measure queued captures until the queue is empty or the options change."""
+    queue: list[Waiting] = []
+    measures = measurer.with_options(options())
+    measures.load()  # if this fails, no capture is tried
+
+    def items() -> Iterator[RoundCapture | Failure]:
+        nonlocal queue
+        while queue := waiting.captures():
+            queued_capture = queue[0]
+            waiting.begin(queued_capture)
+            try:
+                yield RoundCapture.to_add(
+                    store,
+                    queued_capture.round_key,
+                    queued_capture.load(),
+                    key=queued_capture.key,
+                    keep=True,
+                )
+            except CucumberVisionError as error:
+                yield Failure.of(error, queued_capture.key)
+            if measurer.with_options(options()) is not measures:
+                return
+
+    # In turn: each capture leaves the queue, or is dropped, before the next is read.
+    try:
+        for _, added in add_all(store, items(), measures, in_turn):
+            queued_capture = queue[0]
+            require_store(added)
+            if added.failure is not None:
+                job.notes.append(added.failure.message)
+                continue
+            job.notes += filter(None, [added.note])
+            job.measured[queued_capture.key] = queued_capture.round_key
+            waiting.done(queued_capture)
+            last_of_round = all(later.round_key != queued_capture.round_key for later in queue[1:])
+            if last_of_round and (fault := settle(queued_capture.round_key)):
+                job.notes.append(fault)
+    except (DiskFullError, StoreAwayError):
+        if queue:  # no fault of the capture, which would be set aside for it
+            waiting.forget_start(queue[0])
+        raise
+
+
+_SAME_IOU = 0.7  # overlap above which two outlines at one point are of the same object
+_LARGEST_SHARE = 0.5  # of the picture
+_DOUBTFUL_SCORE = 0.25  # a detection of low confidence
+_RING_PX = 12  # width of the surroundings that are examined
+# Share of the surroundings that must lie this much farther.
+_STANDS_OUT_M, _STANDS_OUT_SHARE = 0.01, 0.2
+# Limits as shares of the length: the interval's lower side; the diameter.
+_UNSURE, _STOUT = 0.15, 0.5
+
+
+def is_doubtful(fruit: Fruit, capture: Capture) -> bool:
+    """Return whether a measurement may not be of a fruit, by its shape and the depth around it.
+
+    A fruit is a tube (M6) that fits well, is no thicker than half its length, has an interval that
+    reaches at most 15 % below the length, and stands out from part of its surroundings.
+
+    Parameters
+    ----------
+    fruit : Fruit
+        As it was measured.
+    capture : Capture
+        Where.
+    """
+    tube, length = fruit.selected, fruit.length
+    if tube is None or tube.fit is None or length is None or length.low_m is None:
+        return True
+    if {Flag.POOR_FIT, Flag.UNCERTAIN, Flag.END_ON} & set(fruit.flags):
+        return True
+    unsure = length.value_m - length.low_m > _UNSURE * length.value_m
+    if unsure or tube.fit.traits.diameter_max_m > _STOUT * length.value_m:
+        return True
+    return not _is_raised(fruit.mask, capture)
+
+
+def _is_raised(mask: NDArray[np.bool_] | None, capture: Capture) -> bool:
+    """Return whether part of a mask's surroundings lies farther away than the mask."""
+    if mask is None:
+        return False
+    size = 2 * _RING_PX + 1
+    widened = cv2.dilate(mask.astype(np.uint8), np.ones((size, size), np.uint8)) > 0
+    valid = valid_depth(capture.depth_m)
+    inside_m, around_m = capture.depth_m[mask & valid], capture.depth_m[widened & ~mask & valid]
+    if not len(inside_m) or not len(around_m):
+        return False
+    farther = around_m > float(np.median(inside_m)) + _STANDS_OUT_M
+    return bool(farther.mean() > _STANDS_OUT_SHARE)
+
+
+_COPY_SHARE = 0.6  # share of the smaller of two masks above which both are one fruit
+
+
+def _refuse_copy(
+    store: Store,
+    stop: StopRecord,
+    capture: CaptureRecord,
+    mask: NDArray[np.bool_],
+    but: int | None = None,
+) -> None:
+    """Refuse a mask that belongs to another fruit of the picture; deleted fruit are ignored.
+
+    Raises
+    ------
+    InstancesError
+        Naming that fruit.
+    """
+    views = store.detections(stop.round_key, DetectionFilter(stop_key=stop.key))
+    corrected = store.corrected(stop.round_key)
+    masks = {fruit.number: fruit.mask for fruit in capture.fruit}
+    for view in views:
+        number = view.record.number
+        if view.capture != capture.name or number == but or view.verdict is Verdict.REJECTED:
+            continue
+        rle = corrected[view.key].mask if view.key in corrected else masks.get(number)
+        if rle is None:
+            continue
+        existing = decode_rle(rle, *mask.shape)
+        shared, smaller = int((mask & existing).sum()), min(int(mask.sum()), int(existing.sum()))
+        if shared > _COPY_SHARE * max(smaller, 1):
+            raise InstancesError(
+                "that is fruit {number}, which is there already",
+                remedy="tap the fruit itself, or delete one of the two",
+                number=number,
+            )
+
+
+def _kept_keypoints(
+    keypoints: Sequence[Point], mask: NDArray[np.bool_]
+) -> NDArray[np.float64] | None:
+    """Return a fruit's keypoints if its new mask contains them, else None."""
+    if not keypoints:
+        return None
+    points = np.array(keypoints, np.float64)
+    u, v = points[:, :2].round().astype(np.int64).T
+    height, width = mask.shape
+    inside = mask[v.clip(0, height - 1), u.clip(0, width - 1)]
+    return points if inside.mean() >= 0.5 else None
+
+
+def _some(mask: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
+    if mask is None or np.count_nonzero(mask) < 100:
+        raise InstancesError(
+            "no fruit was found there", remedy="tap its middle or draw a closer box"
+        )
+    return mask

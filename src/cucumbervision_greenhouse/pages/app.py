@@ -1,0 +1,152 @@
+"""The script that Streamlit runs for every viewer: navigation, and the frame of a page."""
+
+from __future__ import annotations
+
+import json
+import os
+from html import escape
+from pathlib import Path
+from urllib.parse import urlencode
+
+import streamlit as st
+
+from cucumbervision.errors import AccessError, CucumberVisionError
+from cucumbervision_greenhouse import resources, tasks
+from cucumbervision_greenhouse.core_words import words_of
+from cucumbervision_greenhouse.language import gettext as _
+from cucumbervision_greenhouse.language import marked, plain
+from cucumbervision_greenhouse.pages import (
+    about,
+    accuracy,
+    days,
+    forecast,
+    page_elements,
+    results,
+    row_map,
+    settings,
+    today,
+    upload,
+)
+from cucumbervision_greenhouse.settings import LOGIN_VARIABLE
+from cucumbervision_greenhouse.theme import THEME_STYLE
+
+# Streamlit drops the input of a closed page; these values are kept for its return.
+_KEPT_INPUTS = ("round", "color_by", "list_page", "pick_row")
+_WITH_FRUIT = ("", "results")  # keyboard focus goes to their lists at once
+
+_ICON = Path(__file__).parents[1] / "camera/static/icon.svg"
+_HEAD = """<div class="head"><h1 class="quiet">{title}</h1><a class="brand" href="{home}"
+target="_self">CucumberVision</a><span class="house">{house}</span></div>"""
+
+
+def main() -> None:
+    """Draw the page that the viewer chose."""
+    st.set_page_config(page_title="CucumberVision", page_icon=_ICON, layout="wide")
+    for style in (THEME_STYLE, Path(__file__).with_name("static") / "pages.css"):
+        st.html(style)
+    try:
+        _check_guard()
+        pages = _pages()
+        st.session_state["pages"] = {page.url_path or "today": page for page in pages}
+        chosen = st.navigation(pages, position="hidden")
+        tasks.prepare()
+        read_address()
+        _draw_navigation(pages, chosen)
+        keep_inputs()
+        page_elements.live()
+        chosen.run()
+        if chosen != pages[-1]:
+            footer(pages[-1])
+    except CucumberVisionError as error:
+        st.error(plain(words_of(error)), icon=":material/error:")
+
+
+def _pages() -> list[st.Page]:
+    draw = [
+        (marked("Today"), today.page, ":material/today:"),
+        (marked("Capture"), _leave_for_capture, ":material/photo_camera:"),
+        (marked("Upload"), upload.page, ":material/upload:"),
+        (marked("Results"), results.page, ":material/straighten:"),
+        (marked("Row map"), row_map.page, ":material/map:"),
+        (marked("Days"), days.page, ":material/date_range:"),
+        (marked("Forecast"), forecast.page, ":material/calendar_month:"),
+        (marked("Accuracy"), accuracy.page, ":material/target:"),
+        (marked("Settings"), settings.page, ":material/settings:"),
+        (marked("About"), about.page, ":material/info:"),
+    ]
+    return [
+        st.Page(
+            page,
+            title=_(title),
+            icon=icon,
+            url_path=title.split()[-1].lower(),
+            default=page is today.page,
+        )
+        for title, page, icon in draw
+    ]
+
+
+def _leave_for_capture() -> None:
+    """Open the capture page, which is not a Streamlit page."""
+    address = json.dumps(f"/capture?{urlencode(page_elements.here())}")
+    st.html(f"<script>location.replace({address})</script>", unsafe_allow_javascript=True)
+
+
+def _draw_navigation(pages: list[st.Page], chosen: st.Page) -> None:
+    if chosen.url_path in _WITH_FRUIT and "fruit" not in st.query_params:
+        st.html(f'<a class="skip" href="#list">{_("To the fruit")}</a>')
+    st.set_page_config(page_title=f"{chosen.title} · CucumberVision")
+    with st.container(key="head", horizontal=True):
+        st.html(_head(chosen.title), width="content")
+        with st.container(horizontal=True, key="nav", gap="small"):
+            for page in pages[:-1]:
+                st.page_link(page, label=page.title, query_params=page_elements.here())
+
+
+def _head(title: str) -> str:
+    """Return the top of a page: the program and the house that is open."""
+    opened = st.session_state.get("round")
+    rounds = [resources.store().round(opened)] if opened else resources.rounds()
+    house = next((x.record.house for x in rounds if x is not None), "")
+    parts = {
+        "home": escape(f"/?{urlencode(page_elements.here())}"),
+        "house": escape(house),
+        "title": escape(title),
+    }
+    return _HEAD.format(**parts)
+
+
+def read_address() -> None:
+    """Open the round in the address, and keep the open round in the address."""
+    named = st.query_params.get("round")
+    if named == st.session_state.get("named"):
+        st.session_state.pop("named_before", None)
+    elif named and named != st.session_state.get("named_before"):
+        st.session_state["round"] = st.session_state["named"] = named
+
+
+def keep_inputs() -> None:
+    """Keep the input of closed pages."""
+    for name in list(st.session_state):
+        if name in _KEPT_INPUTS or str(name).startswith(("up_", "only_")):
+            st.session_state[name] = st.session_state[name]
+
+
+def footer(about_page: st.Page) -> None:
+    """Draw the link to the licence and the source (AGPL-3.0, section 13)."""
+    with st.container(key="about", horizontal_alignment="right"):
+        st.page_link(
+            about_page, label=_("About"), query_params=page_elements.here(), width="content"
+        )
+
+
+def _check_guard() -> None:
+    """Refuse to draw pages if no guard checks their requests."""
+    if LOGIN_VARIABLE not in os.environ:
+        raise AccessError(
+            "the pages run without their guard", remedy="start them with `cucumbervision dashboard`"
+        )
+
+
+if __name__ == "__main__":
+    main()

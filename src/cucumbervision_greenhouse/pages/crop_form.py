@@ -1,0 +1,223 @@
+"""The crop on 'Settings': browse crops, choose that of new rounds, edit the limits of classes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import streamlit as st
+
+from cucumbervision.agronomy.profiles import profiles
+from cucumbervision.errors import CucumberVisionError
+from cucumbervision_greenhouse import resources, round_caches
+from cucumbervision_greenhouse.core_words import words_of
+from cucumbervision_greenhouse.language import gettext as _
+from cucumbervision_greenhouse.language import plain, sentence, told_apart
+from cucumbervision_greenhouse.pages import page_elements
+from cucumbervision_greenhouse.pages.crop_limits import (
+    CropLimits,
+    class_counts,
+    save_own_profile,
+)
+from cucumbervision_greenhouse.rounds.fruit_table import on_the_plant
+from cucumbervision_greenhouse.words import class_words, label_words, round_name
+
+if TYPE_CHECKING:
+    from cucumbervision.agronomy.profiles import CropProfile
+
+
+_DRAWN = "limits_drawn"
+
+
+def draw() -> None:
+    """Draw the choice of a crop, its limits, and the form that changes them."""
+    saved = resources.settings().profile
+    entries = {entry.name: entry for entry in profiles()}
+    readable = {
+        name: profile for name, entry in entries.items() if (profile := entry.profile) is not None
+    }
+    titles = told_apart({name: _(profile.title) for name, profile in readable.items()})
+    name = st.selectbox(
+        _("Crop"),
+        list(readable),
+        index=list(readable).index(saved) if saved in readable else 0,
+        format_func=titles.__getitem__,
+    )
+    if name == saved:
+        st.caption(_("New rounds have this crop. Rounds that were begun keep theirs."))
+    else:
+        page_elements.button(
+            st, _("Use for new rounds"), "check", lambda: resources.change_settings(profile=name)
+        )
+    profile = readable[name]
+    _limits(profile)
+    with st.expander(_("Change the limits"), icon=":material/edit:"):
+        _form(name, profile, own=not entries[name].shipped)
+    for entry in entries.values():
+        if entry.fault:
+            st.warning(plain(words_of(entry.fault)), icon=":material/error:")
+
+
+def _limits(profile: CropProfile) -> None:
+    units = resources.settings().units
+    lines = [
+        {
+            _("Class"): c.name,
+            _("From"): units.text(c.min_cm / 100),
+            _("Below"): units.text(c.max_cm / 100),
+        }
+        for c in profile.classes
+    ]
+    page_elements.table(lines)
+    for rule in profile.rules.values():
+        st.caption(plain(_(rule)))
+
+
+def _form(name: str, profile: CropProfile, *, own: bool) -> None:
+    """Draw the limits as fields, what they would change, and the button that saves them."""
+    key, drawn = _key(name, profile), st.session_state.get(_DRAWN)
+    if drawn is not None and drawn[0] == name and drawn[1] != key:  # what was typed is gone
+        words = _(
+            "Somebody else has changed these limits meanwhile: they are shown as they are now."
+        )
+        st.warning(words, icon=":material/info:")
+    st.session_state[_DRAWN] = name, key
+    limits = _fields(name, profile)
+    title = st.text_input(
+        _("Name of your crop"),
+        profile.title if own else _("{crop}, own limits").format(crop=_(profile.title)),
+        key=f"{_key(name, profile)}_title",
+    )
+    try:
+        changed = limits.applied_to(profile, title.strip())
+    except CucumberVisionError as error:
+        st.error(sentence(words_of(error)), icon=":material/error:")
+        return
+    _preview(profile, changed)
+
+    def save() -> None:
+        try:
+            path = save_own_profile(changed, profile)
+        except CucumberVisionError as error:
+            st.session_state["limits_fault"] = words_of(error)
+            return
+        st.session_state.pop(_DRAWN, None)
+        resources.forget_profiles()
+        resources.change_settings(profile=path.stem)
+        words = _("Saved: new rounds have the crop '{crop}'.")
+        st.toast(plain(words.format(crop=changed.title)))
+
+    page_elements.button(
+        st,
+        _("Save and use for new rounds"),
+        "save",
+        save,
+        type="primary",
+        disabled=not title.strip(),
+    )
+    if fault := st.session_state.pop("limits_fault", None):
+        st.error(sentence(fault), icon=":material/error:")
+    st.caption(
+        _(
+            "Saved as a crop of your own; the one that the program brings stays as it is. Rounds "
+            "that have a crop of this name are graded by the new limits."
+        )
+    )
+
+
+def _key(name: str, profile: CropProfile) -> str:
+    """Return what the keys of a crop's fields begin with: others where its limits were changed."""
+    return f"limits_{name}_{hash(CropLimits.of(profile))}"
+
+
+def _fields(name: str, profile: CropProfile) -> CropLimits:
+    """Draw the limits of a profile as fields, and return what they hold."""
+    limits, key = CropLimits.of(profile), _key(name, profile)
+    edges_m = _edge_fields(key, profile, limits)
+    arcs = [
+        st.number_input(
+            sentence(
+                _("{shape} up to [mm of arc for 10 cm]").format(shape=_(profile.shape[number].name))
+            ),
+            *page_elements.spanning(0.5, 100.0, arc),
+            0.5,
+            format="%.1f",
+            key=f"{key}_arc_{number}",
+        )
+        for number, arc in enumerate(limits.arc_mm_per_10cm)
+    ]
+    thin, light = st.columns(2)
+    diameter_mm = thin.number_input(
+        _("Thinnest [mm]; 0: no limit"),
+        *page_elements.spanning(0.0, 200.0, limits.minimum_diameter_mm or 0.0),
+        1.0,
+        format="%.0f",
+        key=f"{key}_thin",
+    )
+    weight_g = light.number_input(
+        _("Lightest [g]; 0: no limit"),
+        *page_elements.spanning(0.0, 5000.0, limits.minimum_g or 0.0),
+        10.0,
+        format="%.0f",
+        key=f"{key}_light",
+    )
+    decide = st.toggle(
+        _("Thickness and weight decide on the class"), limits.decide, key=f"{key}_decide"
+    )
+    names = [c.name for c in profile.classes]
+    pick = st.pills(
+        _("Ready to be picked"),
+        names,
+        format_func=lambda name: plain(class_words(name)),
+        selection_mode="multi",
+        default=limits.pick,
+        key=f"{key}_pick",
+    )
+    return CropLimits(
+        edges_m=edges_m,
+        pick=tuple(pick),
+        arc_mm_per_10cm=tuple(arcs),
+        minimum_diameter_mm=diameter_mm or None,
+        minimum_g=weight_g or None,
+        decide=decide,
+    )
+
+
+def _edge_fields(key: str, profile: CropProfile, limits: CropLimits) -> tuple[float, ...]:
+    """Draw the lengths between the classes two abreast, and return them in metres."""
+    units = resources.settings().units
+    names = [class_words(c.name) for c in sorted(profile.classes, key=lambda c: c.min_cm)]
+    labels = [_("{name} from").format(name=name) for name in names]
+    labels.append(_("{name} below").format(name=names[-1]))
+    places = [place for _pair in labels[::2] for place in st.columns(2)]
+    edges_m = []
+    for number, (place, edge_m) in enumerate(zip(places, limits.edges_m, strict=False)):
+        shown = units.value(edge_m) or 0.0
+        value = place.number_input(
+            sentence(f"{labels[number]} [{units.name}]"),
+            *page_elements.spanning(0.1, 200.0, shown),
+            0.5 if units.name == "cm" else 0.25,
+            format=f"%.{units.digits}f",
+            key=f"{key}_{number}_{units.name}",
+        )
+        # A limit that was not changed is not rounded as it is shown in inches.
+        edges_m.append(edge_m if value == shown else units.metres(float(value or 0.0)))
+    return tuple(edges_m)
+
+
+def _preview(profile: CropProfile, changed: CropProfile) -> None:
+    """Show what the limits would change among the fruit of the newest round."""
+    newest = next((x for x in resources.rounds() if x.fruit), None)
+    if newest is None:
+        return
+    fruit = on_the_plant(round_caches.graded_round(newest).fruit)
+    before, after = class_counts(fruit, profile), class_counts(fruit, changed)
+    lines = [
+        {
+            _("Class"): label_words(label),
+            _("Now"): before[label],
+            _("With these limits"): after[label],
+        }
+        for label in sorted({*before, *after})
+    ]
+    st.caption(plain(_("Fruit on the plant: {round}").format(round=round_name(newest))))
+    page_elements.table(lines)

@@ -1,0 +1,239 @@
+"""Days: what changed in the house since an earlier round, and how its fruit develop."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import TYPE_CHECKING
+
+import streamlit as st
+
+from cucumbervision_greenhouse import resources, round_caches
+from cucumbervision_greenhouse import round_tables as tables
+from cucumbervision_greenhouse.language import counted, marked, plain
+from cucumbervision_greenhouse.language import gettext as _
+from cucumbervision_greenhouse.pages import page_elements
+from cucumbervision_greenhouse.pages.round_choice import label_options
+from cucumbervision_greenhouse.rounds.day_comparison import Change
+from cucumbervision_greenhouse.rounds.merge_and_link import earlier_rounds
+from cucumbervision_greenhouse.words import daily_growth_words, day_words, label_words, row_name
+
+if TYPE_CHECKING:
+    from cucumbervision_greenhouse.rounds.day_comparison import (
+        ChangeCounts,
+        DayComparison,
+        FruitChange,
+    )
+    from cucumbervision_greenhouse.store.views import RoundSummary
+
+_WEEK, _SEASON = 7, 200  # rounds in the chart
+_CHANGES = {
+    Change.STAYED: marked("Seen on both days"),
+    Change.PICKED: marked("Picked"),
+    Change.GONE: marked("Not seen again"),
+    Change.NEW: marked("New"),
+    Change.NOT_WALKED: marked("Not walked"),
+}
+
+
+@page_elements.of_round
+def page(round_summary: RoundSummary) -> None:
+    """Draw the page."""
+    earlier = {x.key: x for x in earlier_rounds(resources.store(), round_summary.key)}
+    if not round_summary.fruit or not earlier:
+        st.info(
+            _(
+                "Nothing to compare yet: this house has no fruit of an earlier day. Walk it again "
+                "on another day, and this page shows what grew, what was picked and what is new."
+            ),
+            icon=":material/date_range:",
+        )
+        page_elements.link("capture", _("Capture"))
+        return
+    before = earlier[_choose_day(earlier)]
+    comparison = round_caches.comparison_of(before, round_summary)
+    fruit_key = st.query_params.get("fruit")
+    if fruit_key is not None and any(fruit_key in _keys(fruit) for fruit in comparison.changes):
+        _fruit_days(round_summary, fruit_key)
+        return
+    _metrics(comparison.counts(), before, round_summary)
+    _rows(comparison)
+    _classes(comparison, before, round_summary)
+    _each_fruit(comparison)
+    _trend(round_summary, [round_summary, *earlier.values()])
+
+
+def _choose_day(earlier: dict[str, RoundSummary]) -> str:
+    names = {key: day_words(x.walked_s) for key, x in earlier.items()}
+    label = label_options("compared_with", names)
+    if st.session_state.get("compared_with") not in earlier:
+        named = st.query_params.get("day")
+        st.session_state["compared_with"] = named if named in earlier else next(iter(earlier))
+    key = st.selectbox(_("Compare with"), list(earlier), format_func=label, key="compared_with")
+    page_elements.name_in_address("day", key)
+    return str(key)
+
+
+def _keys(fruit: FruitChange) -> list[str]:
+    return [view.key for view in (fruit.before, fruit.after) if view is not None]
+
+
+def _metrics(counts: ChangeCounts, before: RoundSummary, after: RoundSummary) -> None:
+    metrics: dict[str, int | str] = {
+        _("On {day}").format(day=day_words(before.walked_s)): counts.before,
+        _("Picked"): counts.picked,
+        _("Not seen again"): counts.gone,
+        _("New"): counts.new,
+        _("On {day}").format(day=day_words(after.walked_s)): counts.after,
+        _("Growth"): daily_growth_words(counts.growth_m_per_day, resources.settings().units),
+    }
+    with st.container(horizontal=True):
+        for label, value in metrics.items():
+            st.metric(label, value, width="content")
+    if counts.gone and counts.new and not counts.stayed:
+        st.warning(
+            _(
+                "No fruit of one day could be told to be one of the other: 'not seen again' and "
+                "'new' may be the same fruit. 'Row map' tells which are the same."
+            ),
+            icon=":material/link_off:",
+        )
+    words = _(
+        "'Not seen again' are fruit that were picked without being ticked off, fell, or were "
+        "missed. 'New' may have been missed before. Growth is the median of the fruit seen on "
+        "both days."
+    )
+    if counts.returned:
+        returned = counted(
+            counts.returned,
+            "{n} fruit was ticked off as picked and seen again all the same.",
+            "{n} fruit were ticked off as picked and seen again all the same.",
+        )
+        words = f"{returned} {words}"
+    if counts.unsure:
+        unsure = counted(
+            counts.unsure,
+            "{n} of the {all} fruit seen on both days may be two: places and sizes fit, but not "
+            "for sure.",
+            "{n} of the {all} fruit seen on both days may be two: places and sizes fit, but not "
+            "for sure.",
+            all=counts.stayed,
+        )
+        words = f"{unsure} {words}"
+    if counts.not_walked:
+        apart = counted(
+            counts.not_walked,
+            "{n} fruit hangs where only one of the two rounds went: not compared.",
+            "{n} fruit hang where only one of the two rounds went: not compared.",
+        )
+        words = f"{apart} {words}"
+    st.caption(words)
+
+
+def _rows(comparison: DayComparison) -> None:
+    lines = [
+        {
+            _("Row"): row or "?",
+            _("Before"): counts.before,
+            _("Picked"): counts.picked,
+            _("Not seen again"): counts.gone,
+            _("New"): counts.new,
+            _("Now"): counts.after,
+            _("Growth"): daily_growth_words(counts.growth_m_per_day, resources.settings().units),
+        }
+        for row, counts in comparison.by_row().items()
+    ]
+    if len(lines) > 1:
+        page_elements.table(lines)
+
+
+def _classes(comparison: DayComparison, before: RoundSummary, after: RoundSummary) -> None:
+    """Show the compared fruit by class, on both days."""
+    grades = [round_caches.graded_round(x).grades for x in (before, after)]
+    compared = [x for x in comparison.changes if x.change is not Change.NOT_WALKED]
+    views = [x.before for x in compared], [x.after for x in compared]
+    first, last = (
+        Counter(grades_of_day[view.key].label for view in views_of_day if view is not None)
+        for grades_of_day, views_of_day in zip(grades, views, strict=True)
+    )
+    page_elements.table(
+        [
+            {
+                _("Class"): label_words(name),
+                _("Before"): first[name],
+                _("Now"): last[name],
+                _("Change"): f"{last[name] - first[name]:+d}".replace("+0", "0").replace("-", "−"),
+            }
+            for name in sorted({*first, *last})
+        ]
+    )
+
+
+def _each_fruit(comparison: DayComparison) -> None:
+    kinds = [change for change in Change if comparison.of(change)]
+    label = label_options("change", {kind: _(_CHANGES[kind]) for kind in kinds})
+    if st.session_state.get("change") not in kinds:
+        st.session_state["change"] = kinds[0]
+    kind = st.segmented_control(_("Fruit"), kinds, format_func=label, key="change", required=True)
+    changes = comparison.of(kind or kinds[0])
+    units = resources.settings().units
+    lines = []
+    for fruit in page_elements.page_of(changes, "days_page", round_caches.LINES):
+        view = fruit.after or fruit.before
+        if view is not None:
+            picture = round_caches.thumbnail_of(view)
+            lines.append(
+                {"key": view.key, "picture": picture, "says": tables.change_words(fruit, units)}
+            )
+    words = counted(
+        len(changes), "{n} fruit: tap one to see its days", "{n} fruit: tap one to see its days"
+    )
+    page_elements.fruit_list("days_list", _("Fruit of both days"), lines, words)
+    page_elements.choose_page(changes, "days_page", round_caches.LINES)
+
+
+def _fruit_days(round_summary: RoundSummary, key: str) -> None:
+    """Show one fruit on all its days: pictures, lengths, and a chart of them."""
+    units = resources.settings().units
+    views = round_caches.fruit_days_of(round_summary, key)
+    page_elements.button(
+        st, _("All fruit"), "arrow_back", page_elements.name_in_address, "fruit", None
+    )
+    st.header(f"{row_name(views[-1].row)}: {counted(len(views), '{n} day', '{n} days')}")
+    page_elements.pictures(views, lambda view: "  \n".join(tables.day_lines(view, units)))
+    chart_lines = tables.length_days(views, units)
+    if len(chart_lines) > 1:
+        from cucumbervision_greenhouse.pages import charts
+
+        st.altair_chart(charts.growth_chart(chart_lines, units))
+        st.caption(_("Length on each day, with its 90 % interval where one is given."))
+    if views[-1].round_key == round_summary.key:
+        page_elements.link("results", _("Open this fruit"), fruit=views[-1].key)
+
+
+def _trend(round_summary: RoundSummary, rounds: list[RoundSummary]) -> None:
+    """Draw the fruit on the plant by day, when it is asked for: a season takes long to read."""
+    title = _("All days of this house")
+    if house := round_summary.record.house:
+        title = _("All days of {house}").format(house=plain(house))
+    section = page_elements.section(title, "bar_chart", "trend")
+    if section is None:
+        return
+    spans = {_WEEK: _("Last 7 days"), _SEASON: _("Season")}
+    span = section.segmented_control(
+        _("Days"),
+        list(spans),
+        format_func=spans.__getitem__,
+        key="trend_span",
+        default=_WEEK,
+        required=True,
+    )
+    days = tables.last_of_day(rounds)[: span or _WEEK]
+    lines = [
+        {"day": day, "class": label, "fruit": number}
+        for day, x in days
+        for label, number in round_caches.class_counts_of(x).items()
+    ]
+    from cucumbervision_greenhouse.pages import charts
+
+    section.altair_chart(charts.trend_chart(lines))
+    section.caption(_("Fruit that the last round of each day showed, by class."))

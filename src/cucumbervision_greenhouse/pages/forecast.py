@@ -1,0 +1,153 @@
+"""Forecast: how many fruit will be in which class, and the work that picking them takes."""
+
+from __future__ import annotations
+
+import time
+from datetime import date
+from typing import TYPE_CHECKING
+
+import streamlit as st
+
+from cucumbervision.agronomy.classes import UNDECIDED, class_of
+from cucumbervision_greenhouse import resources, round_caches
+from cucumbervision_greenhouse.agronomy.forecast import Forecast
+from cucumbervision_greenhouse.agronomy.picking import Span, plan_work
+from cucumbervision_greenhouse.language import counted, language, plain
+from cucumbervision_greenhouse.language import gettext as _
+from cucumbervision_greenhouse.pages import page_elements
+from cucumbervision_greenhouse.resources import KEPT
+from cucumbervision_greenhouse.rounds.forecasting import Age, age_of
+from cucumbervision_greenhouse.words import (
+    age_words,
+    class_words,
+    clock_words,
+    expected_classes,
+    first_days,
+    forecast_day,
+    growth_words,
+    hours_span_words,
+    round_day,
+    span_words,
+)
+
+if TYPE_CHECKING:
+    from cucumbervision_greenhouse.store.views import RoundSummary
+
+
+@page_elements.of_round
+def page(round_summary: RoundSummary) -> None:
+    """Draw the page."""
+    prediction = round_caches.forecast_of(round_summary)
+    if not prediction.fruit:
+        st.info(
+            _("Nothing to forecast: this round has no measured fruit left on the plant."),
+            icon=":material/calendar_month:",
+        )
+        return
+    _age(round_summary)
+    names = [_("Next days"), _("Work and crates")]
+    days, work = st.tabs(names, key="forecast_tabs", on_change="rerun")
+    with days:
+        _days(prediction)
+    if work.open:
+        with work:
+            _work(prediction)
+
+
+def _age(round_summary: RoundSummary) -> None:
+    walked = round_summary.walked_s
+    days, age = age_of(walked, time.time())
+    if days < 0:
+        st.warning(clock_words(walked), icon=":material/error:")
+    if age is not Age.FRESH:
+        words = _(
+            "This round is {age} (walked on {when}): the forecast is valid only if nothing was "
+            "picked since. Walk again."
+        )
+        if age is Age.USELESS:
+            words = _(
+                "This round is {age} (walked on {when}): the forecast is valid for the day of the "
+                "walk. Walk again."
+            )
+        st.warning(
+            words.format(age=age_words(days), when=round_day(walked)), icon=":material/history:"
+        )
+    page_elements.link("today", _("Today's pick list"))
+
+
+def _drawn(prediction: Forecast) -> tuple[object, ...]:
+    """Return all that the chart of a forecast shows."""
+    house = prediction.house
+    numbers = (x.tobytes() for x in (house.expected, house.low, house.high))
+    return (prediction.today, date.today(), prediction.classes, *numbers)
+
+
+@st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=600, hash_funcs={Forecast: _drawn})
+def _chart(prediction: Forecast, language: str, theme: str | None) -> None:  # noqa: ARG001, as it is shown
+    """Draw the chart; Altair makes it once, since that takes as long as the rest of the page."""
+    from cucumbervision_greenhouse.pages import charts
+
+    st.altair_chart(charts.forecast_chart(prediction))
+
+
+def _days(prediction: Forecast) -> None:
+    first = [
+        f"{class_words(name)} {forecast_day(prediction, day)}"
+        for name, day in first_days(prediction).items()
+    ]
+    if first:
+        st.markdown(_("**First fruit ready**: {days}").format(days=plain(", ".join(first))))
+    st.markdown(_("**Fruit in each class if nothing is picked**, with the likely range"))
+    _chart(prediction, language(), st.context.theme.type)
+    house = prediction.house
+    lines = []
+    for day in prediction.days.tolist():
+        line = {_("Day"): forecast_day(prediction, day)}
+        for k in expected_classes(prediction):
+            count = Span(house.expected[day, k], house.low[day, k], house.high[day, k])
+            words = span_words(count)
+            if words != "–" and not prediction.complete[day, k]:
+                words = _("{fruit} or more").format(fruit=words)
+            line[class_words(prediction.classes[k])] = words
+        lines.append(line)
+    page_elements.table(lines)
+    undecided = sum(class_of(possible) == UNDECIDED for possible in prediction.possible)
+    words = _("'Or more': fruit too small to be detected today are not counted.")
+    if undecided:
+        today = counted(
+            undecided,
+            "Today {n} undecided fruit is in no class, and in the ranges.",
+            "Today {n} undecided fruit are in no class, and in the ranges.",
+        )
+        words = f"{today} {words}"
+    st.caption(words)
+    with st.expander(_("Details"), icon=":material/list:"):
+        growth = growth_words(prediction.growth, resources.settings().units)
+        st.caption(f"{_('Ranges are 80 % intervals.')} {plain(growth)}")
+
+
+def _work(prediction: Forecast) -> None:
+    saved = resources.settings()
+    per_hour, per_row, per_crate = st.columns(3)
+    for name, column, label, low, high, step in (
+        ("fruit_per_hour", per_hour, _("Fruit picked in an hour"), 1.0, 5000.0, 10.0),
+        ("minutes_per_row", per_row, _("Minutes for each row"), 0.0, 120.0, 0.5),
+        ("fruit_per_crate", per_crate, _("Fruit in a crate"), 1, 500, 1),
+    ):
+        limits = page_elements.spanning(low, high, getattr(saved, name))[:2]
+        page_elements.setting(name, column.number_input, label, *limits, step=step)
+    lines = [
+        {
+            _("Day"): forecast_day(prediction, day.day),
+            _("Fruit"): span_words(day.fruit),
+            _("Work"): hours_span_words(day.hours),
+            **{
+                _("Crates {name}").format(name=name): span_words(n)
+                for name, n in day.crates.items()
+            },
+        }
+        for day in plan_work(prediction, resources.settings().rates)
+        if day.fruit.high >= 1
+    ]
+    page_elements.table(lines)
+    st.caption(_("If every ready fruit is picked every day. Hours for one person."))

@@ -1,0 +1,400 @@
+"""One fruit: its picture, measurements, 3D, ruler, all its views; accept, reject, correct."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+from urllib.parse import urlencode, urljoin
+
+import streamlit as st
+
+from cucumbervision.errors import CucumberVisionError
+from cucumbervision.instances.instance import MaskSource
+from cucumbervision_greenhouse import resources, round_caches
+from cucumbervision_greenhouse.core_words import words_of
+from cucumbervision_greenhouse.fruit_pictures import (
+    as_data_url,
+    depth_picture,
+    fruit_layers,
+    joint_tube,
+    ruler_m,
+    scale_bar,
+    stop_layers,
+)
+from cucumbervision_greenhouse.language import counted, marked, plain, sentence
+from cucumbervision_greenhouse.language import gettext as _
+from cucumbervision_greenhouse.pages import page_elements
+from cucumbervision_greenhouse.pages.page_elements import button, draw_undo, picture
+from cucumbervision_greenhouse.round_tables import GradedRound, figure_lines
+from cucumbervision_greenhouse.rounds.fruit_table import least_sure_first
+from cucumbervision_greenhouse.rounds.stop_records import stored_calibration
+from cucumbervision_greenhouse.store.views import DetectionDetail, DetectionFilter, Verdict
+from cucumbervision_greenhouse.words import (
+    grade_words,
+    interval_words,
+    kind_words,
+    length_words,
+    remarks,
+    round_day,
+    step_words,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from cucumbervision.capture.frames import Capture
+    from cucumbervision_greenhouse.rounds.fruit_table import RoundFruit
+    from cucumbervision_greenhouse.settings import Units
+    from cucumbervision_greenhouse.store.records import (
+        DetectionRecord,
+        JointRecord,
+        MethodRecord,
+    )
+    from cucumbervision_greenhouse.store.views import DetectionSummary, RoundSummary
+
+
+def show(
+    round_summary: RoundSummary, graded: GradedRound, key: str, listed: Sequence[DetectionSummary]
+) -> None:
+    """Draw a fruit in place of the list; `listed` are the fruit that its filters leave."""
+    detail = round_caches.fruit_detail(round_summary, key)
+    _head(graded, key, listed)
+    picture_side, right = page_elements.halves()
+    # Each in its own container, so that elements above do not move the buttons.
+    with right.container():
+        _figures(graded, detail)
+    with right.container():
+        _verdict(round_summary, detail)
+    line = next(
+        (x for x in round_caches.fruit_of(round_summary) if x.view.group == detail.view.group), None
+    )
+    joint = _joint_of(round_summary, line)
+    with picture_side:
+        _pictures(detail, joint)
+    _show_stops(round_summary, detail.view, line, joint)
+    _methods(detail)
+
+
+def _neighbours(
+    graded: GradedRound, key: str, listed: Sequence[DetectionSummary]
+) -> tuple[str | None, str | None]:
+    """Return the fruit before and after one in the list.
+
+    One that has just left the list, since it was judged or deleted, keeps its place of the walk.
+    """
+    keys = [view.key for view in listed]
+    if key not in keys:
+        walk = list(graded.grades)
+        later = (k for k, later_key in enumerate(keys) if walk.index(later_key) > walk.index(key))
+        keys.insert(next(later, len(keys)), key)
+    index = keys.index(key)
+    return (keys[index - 1] if index else None), next(iter(keys[index + 1 :]), None)
+
+
+def _head(graded: GradedRound, key: str, listed: Sequence[DetectionSummary]) -> None:
+    before, after = _neighbours(graded, key, listed)
+    unsure = [view.key for view in least_sure_first(graded.fruit)]
+    following = unsure.index(key) + 1 if key in unsure else 0
+    next_unsure = next((k for k in (*unsure[following:], *unsure[:following]) if k != key), None)
+
+    def go(to: str | None) -> None:
+        page_elements.name_in_address("fruit", to)
+        st.session_state.pop("ruler", None)
+
+    with st.container(horizontal=True, gap="small", key="fruit_head"):
+        button(st, _("All fruit"), "arrow_back", go, None, shortcut="esc")
+        for label, target, icon, shortcut in (
+            (_("Previous"), before, "chevron_left", "left"),
+            (_("Next"), after, "chevron_right", "right"),
+            (_("Next unsure"), next_unsure, "help", "U"),
+        ):
+            how: dict[str, Any] = {"disabled": target is None, "key": f"{icon}_{key}"}
+            button(st, label, icon, go, target, shortcut=shortcut, **how)
+
+
+def _figures(graded: GradedRound, detail: DetectionDetail) -> None:
+    view_of_key = {view.key: view for view in (*graded.fruit, *graded.deleted)}
+    record, units = view_of_key[detail.view.key].record, resources.settings().units
+    graded_fruit = graded.grades[detail.view.key]
+    interval = interval_words(record, units, _("Likely between {low} and {high}"))
+    st.metric(
+        kind_words(None if record.length is None else str(record.length.kind)),
+        length_words(record, units),
+        interval,
+        delta_color="off",
+        delta_arrow="off",
+    )
+    st.markdown(f"**{sentence(grade_words(graded_fruit))}**")
+    traits = {
+        _("Thickest"): None
+        if not record.diameter_max_m
+        else f"{1000 * record.diameter_max_m:.0f} mm",
+        _("Weight, about"): None if not graded_fruit.mass_g else f"{graded_fruit.mass_g:.0f} g",
+        _("Distance"): units.text(record.distance_m),
+        _("Outline by"): record.mask_source and _(MaskSource(record.mask_source).words),
+        _("Hidden by leaves"): None
+        if record.hidden_share is None
+        else f"{100 * record.hidden_share:.0f} %",
+    }
+    st.write(" · ".join(f"{name}: {value}" for name, value in traits.items() if value))
+    if words := remarks(record, units):
+        st.caption(sentence(f"{words}."))
+    with st.expander(_("Details"), icon=":material/list:"):
+        for rule in graded_fruit.rules:
+            st.caption(plain(words_of(rule)))
+        site = stored_calibration(detail.stop)
+        name = _("none") if site is None else plain(site.name)
+        st.caption(_("Measured with the calibration: {name}").format(name=name))
+        page_elements.table(figure_lines(record))
+
+
+def _verdict(round_summary: RoundSummary, detail: DetectionDetail) -> None:
+    key, verdict_before, store = detail.view.key, detail.view.verdict, resources.store()
+    is_picked = detail.view.picked_s is not None
+
+    def judge(verdict: Verdict | None) -> None:
+        # All its views: otherwise another view would represent the deleted fruit.
+        views = store.detections(detail.view.round_key)
+        group = next(x.group for x in views if x.key == key)  # merged again since it was drawn
+        store.set_verdict([x.key for x in views if x.group == group], verdict)
+
+    def pick() -> None:
+        store.unpick([key]) if is_picked else store.pick([key])
+
+    with st.container(horizontal=True):
+        for verdict, name, done, icon, shortcut in (
+            (Verdict.ACCEPTED, _("Accept"), _("Accepted"), "check", "A"),
+            (Verdict.REJECTED, _("Not a fruit"), _("Marked: not a fruit"), "delete", "X"),
+        ):
+            how = {"shortcut": shortcut}
+            # Keyed by the fruit, so that a press acts on the fruit on the screen, not on the next.
+            if verdict_before is verdict:
+                button(st, done, icon, judge, None, type="primary", key=f"clear_{key}", **how)
+            else:
+                button(st, name, icon, judge, verdict, key=f"{verdict}_{key}", **how)
+    with st.container(horizontal=True):
+        words, name = (_("Not picked"), "unpick") if is_picked else (_("Picked"), "pick")
+        button(st, words, "shopping_basket", pick, key=f"{name}_{key}", shortcut="P")
+        draw_undo(round_summary.key)
+    address = f"/results?{urlencode(page_elements.here(fruit=key))}"
+    with st.popover(_("Send a link to this fruit"), icon=":material/link:", width="stretch"):
+        st.code(urljoin(st.context.url or "", address), language=None)
+
+
+def _pictures(detail: DetectionDetail, joint: JointRecord | None) -> None:
+    try:
+        capture = round_caches.capture_of(detail.stop, detail.capture)
+    except CucumberVisionError as error:
+        st.warning(plain(words_of(error)), icon=":material/broken_image:")
+        return
+    # Thousands of points are sent, and drawn by the tablet, only while somebody looks at them.
+    picture_tab, turned = st.tabs([_("Picture"), "3D"], key="fruit_tabs", on_change="rerun")
+    with picture_tab:
+        _picture(detail, capture, joint)
+    if turned.open:
+        with turned:
+            _cloud(capture, detail.view.record)
+
+
+def _cloud(capture: Capture, record: DetectionRecord) -> None:
+    from cucumbervision_greenhouse.pages.fruit_cloud import CLOUD_HEIGHT_PX, point_cloud
+
+    deck = point_cloud(capture, record)
+    if deck is None:
+        st.info(_("There is no depth on this fruit to show in 3D."))
+        return
+    with st.container(key="point_cloud"):
+        st.pydeck_chart(deck, height=CLOUD_HEIGHT_PX)
+    st.caption(
+        _(
+            "Depth points (surroundings pale), rings of the fitted tube in blue, its axis in "
+            "white, its ends in yellow, the place to cut in orange; the bar is 5 cm long. Drag to "
+            "turn, pinch or wheel to zoom."
+        )
+    )
+
+
+def _picture(detail: DetectionDetail, capture: Capture, joint: JointRecord | None) -> None:
+    record, units = detail.view.record, resources.settings().units
+    depth, words = depth_picture(capture.depth_m, units)
+    ruler = st.session_state.get("ruler")
+    tube = None if joint is None else joint_tube(joint, detail.view.key)
+    view = detail.view
+    adds = st.session_state.get("adds_fruit", False)
+    key = f"fruit_{view.key}"
+
+    def corrected() -> None:
+        st.session_state[f"correction_{view.key}"] = st.session_state[key].corrected
+
+    drawn = picture(
+        key,
+        {_("Colour"): as_data_url(capture.color), _("Depth"): as_data_url(depth)},
+        (capture.width, capture.height),
+        layers=[*fruit_layers(record, capture.intrinsics, tube), *_others(detail)],
+        bar=scale_bar(capture.intrinsics, record.distance_m, units),
+        tools=("ruler", "point", "box"),
+        ruler_text=ruler or "",
+        title=_("Fruit {number} of {capture}").format(number=record.number, capture=view.capture),
+        focus_px=(record.box_x1_px, record.box_y1_px, record.box_x2_px, record.box_y2_px),
+        place={"stop": view.stop_key, "capture": view.capture, "fruit": view.key},
+        adds=adds,
+        outcome=_outcome(view.key),
+        on={"corrected": corrected},
+    )
+    name = plain(view.capture)
+    if capture.simulated:
+        name = _("{capture}, computer-made example").format(capture=name)
+    st.caption(_("{capture}. Depth: {range}.").format(capture=name, range=words))
+    if drawn.ruler:
+        x1, y1, x2, y2 = (float(x) for x in drawn.ruler)
+        length_m = ruler_m(capture, (x1, y1), (x2, y2))
+        text = units.text(length_m) if length_m is not None else _("no depth there")
+        st.session_state["ruler"] = text
+        st.rerun()
+    if ruler:
+        st.markdown(_("Ruler: **{length}**, straight distance").format(length=ruler))
+    st.toggle(
+        _("Tap or draw a box to add a missed fruit"),
+        key="adds_fruit",
+        help=_("Off: this corrects the outline of this fruit."),
+    )
+    _accept_others(detail)
+
+
+def _others(detail: DetectionDetail) -> list[dict[str, Any]]:
+    """Return the other fruit of the picture as a layer, so that one that was added is seen."""
+    neighbours = [
+        view
+        for view in _of_picture(detail.view)
+        if view.key != detail.view.key and view.verdict is not Verdict.REJECTED
+    ]
+    names = dict.fromkeys((view.key for view in neighbours), marked("Other fruit"))
+    return stop_layers(detail.capture, neighbours, names, resources.settings().units)
+
+
+def _of_picture(view: DetectionSummary) -> list[DetectionSummary]:
+    """Return all fruit of the picture that a view is of."""
+    only = DetectionFilter(stop_key=view.stop_key)
+    return [
+        detection
+        for detection in resources.store().detections(view.round_key, only)
+        if detection.capture == view.capture
+    ]
+
+
+def _accept_others(detail: DetectionDetail) -> None:
+    view = detail.view
+
+    def accept() -> None:
+        if unjudged := [
+            view_of_picture.key
+            for view_of_picture in _of_picture(view)
+            if view_of_picture.verdict is None
+        ]:
+            resources.store().set_verdict(unjudged, Verdict.ACCEPTED)
+
+    st.button(
+        _("Accept the rest of this picture"),
+        icon=":material/done_all:",
+        width="stretch",
+        on_click=accept,
+        key=f"rest_{view.key}",
+    )
+
+
+def _outcome(key: str) -> tuple[int | None, str]:
+    """Return the last correction of a fruit, and what became of it."""
+    job = page_elements.finished_job(f"correction_{key}")
+    if job is None:
+        return None, ""
+    return job.number, job.error or _("Saved: measured with this outline. 'Undo' removes it.")
+
+
+def _methods(detail: DetectionDetail) -> None:
+    units, record = resources.settings().units, detail.view.record
+    lines = [
+        {
+            _("Method"): method.method,
+            _("Length"): units.text(method.length_m),
+            _("Kind"): method.kind or "–",
+            _("Thread"): units.text(method.thread_m),
+            _("Centreline"): units.text(method.centreline_m),
+            _("Chord"): units.text(method.chord_m),
+            _("Remark"): _remark(method, record),
+        }
+        for method in record.methods
+    ]
+    with st.expander(_("All methods"), icon=":material/straighten:"):
+        page_elements.table(lines)
+        if record.fallback:
+            st.caption(_("Methods tried first: {methods}").format(methods=plain(record.fallback)))
+    if detail.log:
+        with st.expander(_("Corrections"), icon=":material/history:"):
+            for action in detail.log:
+                when = round_day(action.at_s)
+                undone = f" ({_('undone')})" if action.undone else ""
+                st.write(plain(f"{when}, {action.by or _('unnamed')}: {action.kind}{undone}"))
+
+
+def _remark(method: MethodRecord, record: DetectionRecord) -> str:
+    remarks = [
+        _("chosen") if method.method == record.method else "",
+        "" if method.reason == "ok" else method.reason.replace("-", " "),
+        _("measured by {method} instead").format(method=method.measured_by)
+        if method.measured_by
+        else "",
+    ]
+    return ", ".join(filter(None, remarks))
+
+
+def _show_stops(
+    round_summary: RoundSummary,
+    fruit: DetectionSummary,
+    line: RoundFruit | None,
+    joint: JointRecord | None,
+) -> None:
+    """Draw the views of a fruit, the representative one first; nothing if there is only one.
+
+    Parameters
+    ----------
+    round_summary : RoundSummary
+        Its round.
+    fruit : DetectionSummary
+        Any of its views.
+    line : RoundFruit, optional
+        The fruit with the length by all its views.
+    joint : JointRecord, optional
+        One tube in all of them.
+    """
+    content, units = round_caches.content_of(round_summary), resources.settings().units
+    views = sorted((v for v in content.views if v.group == fruit.group), key=lambda v: not v.best)
+    if len(views) < 2:
+        return
+    st.markdown(f"**{counted(len(views), 'Seen {n} time', 'Seen {n} times')}**")
+    chosen = _("representative") if line is None else _("best view")
+
+    def words(view: DetectionSummary) -> str:
+        best = f" · {chosen}" if view.best else ""
+        return f"{step_words(view.step)}: {_length(view.record, units)}{best}"
+
+    page_elements.pictures(views, words, joint=joint)
+    if line is not None:
+        how = _("All that show it whole, together")
+        if joint is not None:
+            how = _("One tube fitted to {n} of these views (pink), which gives the length")
+            how = how.format(n=joint.views)
+        st.caption(f"{how}: {_length(line.view.record, units)}")
+
+
+def _joint_of(round_summary: RoundSummary, line: RoundFruit | None) -> JointRecord | None:
+    if line is None or line.joint is None:
+        return None
+    try:
+        return round_caches.joint_of(round_summary.key, line.joint.key)
+    except CucumberVisionError:  # merged anew meanwhile
+        return None
+
+
+def _length(record: DetectionRecord, units: Units) -> str:
+    words = length_words(record, units)
+    interval = interval_words(record, units)
+    return f"{words} ({interval})" if interval else words

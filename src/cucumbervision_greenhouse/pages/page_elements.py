@@ -1,0 +1,495 @@
+"""Elements that several pages draw: buttons, a job's progress, columns, tables."""
+
+from __future__ import annotations
+
+import time
+from functools import wraps
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import streamlit as st
+
+from cucumbervision.errors import CucumberVisionError
+from cucumbervision.names import readable
+from cucumbervision_greenhouse import resources, round_caches, tasks
+from cucumbervision_greenhouse.core_words import words_of
+from cucumbervision_greenhouse.fruit_pictures import PICTURE_FILES
+from cucumbervision_greenhouse.language import counted, language, page_text, plain, sentence
+from cucumbervision_greenhouse.language import gettext as _
+from cucumbervision_greenhouse.pages.round_choice import choose_round, missing_round
+from cucumbervision_greenhouse.words import hours_words, step_words, taken_back
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Container, Mapping, Sequence
+
+    from streamlit.delta_generator import DeltaGenerator
+
+    from cucumbervision_greenhouse.agronomy.picking import PickWork
+    from cucumbervision_greenhouse.jobs import Job
+    from cucumbervision_greenhouse.store.records import JointRecord
+    from cucumbervision_greenhouse.store.views import DetectionSummary, RoundSummary
+
+_PICTURE_PX = 168  # two abreast on a phone
+_NEWS_S = 1.0  # how soon a page shows what another viewer did
+_SHORT_S = 5.0  # the time left is not shown for less
+
+
+def halves() -> tuple[DeltaGenerator, DeltaGenerator]:
+    """Return a wide and a narrow column, under each other where a tablet is held upright."""
+    with st.container(key="halves"):
+        first, right = st.columns([3, 2], gap="medium")
+    return first, right
+
+
+def section(label: str, icon: str, key: str, *, opened: bool = False) -> DeltaGenerator | None:
+    """Draw a part of a page that is closed at first; return it where it is open.
+
+    What nobody sees would take as long to draw and to send as what is seen.
+    """
+    icon = f":material/{icon}:"
+    part = st.expander(label, expanded=opened, icon=icon, key=key, on_change="rerun")
+    return part if part.open else None
+
+
+def button(
+    place: Any, label: str, icon: str, act: Callable[..., object], *args: Any, **options: Any
+) -> None:
+    """Draw a button as wide as its place; pressing it calls `act` before the page is drawn anew."""
+    icon = f":material/{icon}:"
+    options.setdefault("width", "stretch")
+    place.button(label, icon=icon, on_click=act, args=args, **options)
+
+
+def do(act: Callable[[], object]) -> bool:
+    """Correct a round, or show the fault below; return whether it was corrected."""
+    try:
+        act()
+    except CucumberVisionError as error:
+        st.session_state["fault"] = words_of(error)
+        return False
+    return True
+
+
+def draw_undo(round_key: str) -> None:
+    """Draw a button that undoes the viewer's last action, and the fault of the last correction."""
+
+    def undo() -> None:
+        try:
+            action = tasks.undo(resources.store(), round_key)
+        except CucumberVisionError as error:
+            st.session_state["fault"] = words_of(error)
+        else:
+            st.toast(plain(taken_back(action)), icon=":material/undo:")
+
+    button(st, _("Undo"), "undo", undo, shortcut="Z")
+    if fault := st.session_state.pop("fault", None):
+        st.warning(sentence(fault), icon=":material/error:")
+
+
+def setting(
+    name: str,
+    draw: Callable[..., Any],
+    label: str,
+    *args: Any,
+    field: str = "",
+    shown: Callable[[Any], Any] = lambda saved: saved,
+    meant: Callable[[Any], Any] = lambda value: value,
+    **options: Any,
+) -> None:
+    """Draw a field that shows a setting, and changes it when somebody changes the field.
+
+    A page that others have left behind changes nothing else; where another viewer has changed this
+    setting since the page was drawn, its viewer is told so.
+
+    Parameters
+    ----------
+    name : str
+        Name in `Settings`.
+    draw : callable
+        Streamlit's field, with `label`, `args` and `options`.
+    field : str
+        Name of the field, where a setting has several.
+    shown, meant : callable
+        From the setting to what the field holds, and back.
+    """
+    key = f"setting_{name}{field}"
+
+    def choose() -> None:
+        if getattr(resources.settings(), name) != st.session_state[f"{key}_drawn"]:
+            words = _("Somebody else has changed this meanwhile; what you chose counts now.")
+            st.toast(words, icon=":material/info:")
+        resources.change_settings(**{name: meant(st.session_state[key])})
+
+    saved = getattr(resources.settings(), name)
+    st.session_state[f"{key}_drawn"], st.session_state[key] = saved, shown(saved)
+    draw(label, *args, key=key, on_change=choose, **options)
+
+
+def spanning(low: float, high: float, value: float) -> tuple[float, float, float]:
+    """Return limits and value of a field for numbers: a file may hold a value beyond the limits.
+
+    Streamlit would not draw such a field.
+
+    Examples
+    --------
+    >>> spanning(0.5, 100.0, 150.0)
+    (0.5, 150.0, 150.0)
+    """
+    return min(low, value), max(high, value), value
+
+
+def table(lines: list[dict[str, Any]]) -> None:
+    """Draw a table; its words wrap on a phone, and columns without values are left out.
+
+    Streamlit's own tables need pandas, which takes longer to import than all pages, and in the
+    browser what reads Arrow.
+    """
+    columns = [name for name in (lines[0] if lines else ()) if any(x[name] != "–" for x in lines)]
+    if not columns:
+        return
+    kinds = {name: _kind([str(x[name]) for x in lines]) for name in columns[1:]}
+    kinds[columns[0]] = ""  # names of the lines, also where they are numbers
+    head = "".join(f'<th scope="col"{kinds[name]}>{_literal(name)}</th>' for name in columns)
+    body = "".join(
+        f"<tr>{''.join(f'<td{kinds[name]}>{_literal(line[name])}</td>' for name in columns)}</tr>"
+        for line in lines
+    )
+    st.html(f'<table class="figures"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>')
+
+
+def _kind(cells: list[str]) -> str:
+    """Return the class of a column: whole numbers stand under each other."""
+    is_number = all(cell.lstrip("+−").isdecimal() for cell in cells if cell) and any(cells)
+    return ' class="number"' if is_number else ""
+
+
+def _literal(text: object) -> str:
+    return escape(readable(" ".join(str(text).split())))
+
+
+def fruit_list(
+    key: str,
+    label: str,
+    fruit: list[dict[str, Any]],
+    words: str,
+    on_taps: Callable[[], None] | None = None,
+    *,
+    are_pictures: bool = False,
+) -> None:
+    """Draw a list of fruit to tick off or to open; opening one puts it into the address.
+
+    Parameters
+    ----------
+    key, label : str
+        The element's own, and its name for screen readers.
+    fruit : list of dict
+        'key', 'picture' (a data URL, or None), 'says' (words that are drawn side by side, or under
+        each other on a phone), and 'picked'.
+    words : str
+        Heading of the list, after the number of picked fruit.
+    on_taps : callable
+        Called with every tap, before anything is drawn, so that all totals count it; None for
+        fruit to be opened.
+    are_pictures : bool
+        Large pictures side by side instead of lines.
+    """
+
+    def opened() -> None:
+        name_in_address("fruit", st.session_state[key].opened)
+
+    data = {
+        "fruit": tuple(fruit),  # Streamlit looks for tables in lists, and imports pandas for it
+        "words": words,
+        "label": label,
+        "opens": on_taps is None,
+        "grid": are_pictures,
+    }
+    tapped = {"on_opened_change": opened} if on_taps is None else {"on_taps_change": on_taps}
+    component("fruitlist")(key=key, data=data, **tapped)
+
+
+def pictures(
+    views: Sequence[DetectionSummary],
+    words: Callable[[DetectionSummary], str],
+    act: Callable[[DetectionSummary], None] | None = None,
+    joint: JointRecord | None = None,
+) -> None:
+    """Draw views side by side, each with words and the elements that `act` draws below."""
+    with st.container(horizontal=True):
+        for view in views:
+            with st.container(width=_PICTURE_PX):
+                if (cut := round_caches.cutout_of(view, joint)) is not None:
+                    st.image(
+                        cut,
+                        width="stretch",
+                        alt=_("Fruit at {stop}").format(stop=step_words(view.step).lower()),
+                    )
+                st.caption(words(view))
+                if act is not None:
+                    act(view)
+
+
+def page_of(items: Sequence[Any], key: str, size: int) -> Sequence[Any]:
+    """Return the items of the page that is chosen by `choose_page` with the same key."""
+    number = min(st.session_state.get(key, 1), _pages(items, size))
+    return items[(number - 1) * size : number * size]
+
+
+def choose_page(items: Sequence[Any], key: str, size: int) -> None:
+    """Draw the choice of a page where there are several."""
+    pages = _pages(items, size)
+    if pages > 1:
+        st.session_state[key] = min(st.session_state.get(key, 1), pages)
+        st.number_input(_("Page of {pages}").format(pages=pages), 1, pages, key=key)
+
+
+def _pages(items: Sequence[Any], size: int) -> int:
+    return max(1, -(-len(items) // size))
+
+
+def of_round(draw: Callable[[RoundSummary], None]) -> Callable[[], None]:
+    """Make a page of a function that draws a round: the round is chosen above it."""
+
+    @wraps(draw)
+    def page() -> None:
+        round_summary = choose_round()
+        if missing := missing_round():
+            st.warning(
+                _("There is no round '{name}'. Choose one above, or start a new one.").format(
+                    name=plain(missing[:40])
+                ),
+                icon=":material/search_off:",
+            )
+        elif round_summary is None:
+            first_steps(begun=False)
+        else:
+            draw(round_summary)
+
+    return page
+
+
+def first_steps(*, begun: bool) -> None:
+    """Draw the steps to a house's first list, where there is nothing else to show.
+
+    Parameters
+    ----------
+    begun : bool
+        Whether its round is begun, which is the first step.
+    """
+    missing = _("This round has no stops yet.") if begun else _("There is no round yet.")
+    st.markdown(f"**{missing}** {_('Three steps to its first list:')}")
+    steps = (
+        (_("Start a round"), _("'New round' above: a name, the house and its crop.")),
+        (_("Photograph a row"), _("Walk with the camera, or upload photos of another one.")),
+        (_("See what is ready"), _("Fruit by class and row, with the list to pick from.")),
+    )
+    lines = [
+        f"<li{' class=done' if begun and not k else ''}><b>{escape(name)}</b>{escape(words)}</li>"
+        for k, (name, words) in enumerate(steps)
+    ]
+    st.html(f'<ol class="steps">{"".join(lines)}</ol>')
+    if begun:
+        capture, upload = st.columns(2)
+        with capture:
+            link("capture", _("Capture"))
+        with upload:
+            link("upload", _("Upload"))
+
+
+def link(page: str, label: str, **parts: str) -> None:
+    """Draw a link to another page of the round; its name is the end of the address."""
+    target = st.session_state.get("pages", {}).get(page)
+    if target is not None:
+        st.page_link(
+            target, label=label, icon=target.icon, query_params=here(**parts), width="stretch"
+        )
+
+
+def leave_for(page: str, **parts: str) -> None:
+    """Open another page of the round."""
+    if target := st.session_state.get("pages", {}).get(page):
+        st.switch_page(target, query_params=here(**parts))
+
+
+def here(**parts: str) -> dict[str, str]:
+    """Return the parameters of an address: the open round and other parts."""
+    opened = st.session_state.get("round")
+    return ({"round": opened} if opened else {}) | parts
+
+
+def work_words(work: PickWork) -> str:
+    """Return the work and crates that picking takes, in words.
+
+    Examples
+    --------
+    >>> from cucumbervision_greenhouse.agronomy.picking import PickWork
+    >>> work_words(PickWork(70, {"I": 70}, 0.2333, {"I": 6}))
+    '14 min and 6 crates'
+    """
+    crates = sum(work.crates.values())
+    hours = hours_words(work.hours)
+    return counted(crates, "{hours} and {n} crate", "{hours} and {n} crates", hours=hours)
+
+
+def name_in_address(name: str, value: str | None) -> None:
+    """Put a fruit, row or stop into the address, so that it can be shared; None removes it."""
+    if value is not None:
+        st.query_params[name] = value
+    elif name in st.query_params:
+        del st.query_params[name]
+
+
+def say_missing(name: str, present: Container[str | None], words: str) -> None:
+    """Show that the object in the address does not exist, instead of another object.
+
+    Parameters
+    ----------
+    name : str
+        The part of the address: 'fruit', 'stop' or 'row'.
+    present : container of str
+        The existing objects.
+    words : str
+        What is said.
+    """
+    if (named := st.query_params.get(name)) is not None and named not in present:
+        st.warning(words.format(plain(named[:40])), icon=":material/search_off:")
+
+
+def finished_job(key: str) -> Job | None:
+    """Return the viewer's job once it is finished; `live` shows its progress."""
+    job = resources.worker().get(st.session_state.get(key))
+    return job if job is not None and job.finished else None
+
+
+def live() -> None:
+    """Show the current work; draw the page anew after a change of its round by anybody."""
+    opened = st.session_state.get("round") or ""
+    _live(opened, round_caches.news(opened)["version"])
+
+
+@st.fragment(run_every=_NEWS_S)
+def _live(round_key: str, version: str) -> None:
+    news = round_caches.news(round_key)
+    if version != news["version"]:
+        st.rerun()
+    work = news["work"]
+    if not work["words"]:
+        st.session_state.pop("work_begun", None)
+    elif work["total"]:
+        share = min(work["done"] / work["total"], 1.0)
+        st.progress(share, plain(work["words"] + _time_left(work)))
+    else:
+        st.caption(plain(work["words"]))
+
+
+def _time_left(work: Mapping[str, Any]) -> str:
+    """Return how long work takes until its end, by the steps since this page showed it first."""
+    name, now_s = work["words"].split(":")[0], time.monotonic()
+    begun = st.session_state.get("work_begun", ("", 0.0, 0))
+    if begun[0] != name:
+        begun = st.session_state["work_begun"] = (name, now_s, work["done"])
+    if work["done"] <= begun[2]:
+        return ""
+    left_s = (now_s - begun[1]) / (work["done"] - begun[2]) * (work["total"] - work["done"])
+    if left_s < _SHORT_S:
+        return ""
+    words, number = (
+        (_("about {n} s left"), left_s) if left_s < 90 else (_("about {n} min left"), left_s / 60)
+    )
+    return ", " + words.format(n=round(number))
+
+
+def component(name: str) -> Any:
+    """Return a component made of the files of that name in `static`, in the language shown."""
+    return _component(name, language())
+
+
+@st.cache_resource(show_spinner=False)
+def _component(name: str, code: str) -> Any:
+    folder = PICTURE_FILES if name == "picture" else Path(__file__).with_name("static")
+    html, css, js = (
+        page_text((folder / f"{name}.{kind}").read_text(encoding="utf-8"), kind)
+        for kind in ("html", "css", "js")
+    )
+    name = f"cucumbervision_{name}_{code}"
+    return st.components.v2.component(name, html=html, css=css, js=js)
+
+
+def picture(
+    key: str,
+    images: dict[str, str],
+    size_px: tuple[int, int],
+    *,
+    layers: list[dict[str, Any]] | None = None,
+    bar: dict[str, Any] | None = None,
+    tools: tuple[str, ...] = (),
+    ruler_text: str = "",
+    title: str = "",
+    focus_px: tuple[float, float, float, float] | None = None,
+    place: Mapping[str, str] | None = None,
+    adds: bool = False,
+    outcome: tuple[object, str] = ("", ""),
+    content: dict[str, object] | None = None,
+    on: Mapping[str, Callable[[], None]] | None = None,
+) -> Any:
+    """Draw a picture that accepts clicks, which Streamlit's pictures do not.
+
+    Parameters
+    ----------
+    key : str
+        The element's own.
+    images : dict of str to str
+        Data URLs by name; more than one can be switched.
+    size_px : tuple of int
+        Width and height that points are given in.
+    layers : list of dict
+        As `fruit_layers` gives them; each can be switched.
+    bar : dict
+        As `scale_bar` gives it.
+    tools : tuple of str
+        Of 'ruler', 'point' and 'box'.
+    ruler_text : str
+        What is written on the ruler.
+    title : str
+        What the picture shows, for screen readers.
+    focus_px : tuple of float, optional
+        Box that the picture opens on.
+    place : mapping of str to str
+        'stop', 'capture' and 'fruit' of the picture, for what is outlined in it.
+    adds : bool
+        Whether a point or box adds a fruit; else it is the outline of `place`'s.
+    outcome : tuple of object and str
+        The last correction and its outcome, which is shown over the picture.
+    content : dict, optional
+        'grid' and 'opened' of a row's map, which has marks instead of a picture.
+    on : mapping of str to callable, optional
+        What is called for 'tapped' and 'judged' of a map, and for 'corrected', which holds the
+        number of the job that measured a new outline.
+
+    Returns
+    -------
+    ComponentResult
+        `ruler`: the numbers that were drawn, once.
+    """
+    width, height = size_px
+    data = {
+        "images": images,
+        "width": width,
+        "height": height,
+        "layers": layers or [],
+        "bar": bar,
+        "tools": list(tools),
+        "rulerText": ruler_text,
+        "title": title,
+        "focus": focus_px and list(focus_px),
+        **(place or {}),
+        "adds": adds,
+        "job": outcome[0],
+        "told": outcome[1],
+        "map": content,
+    }
+    # The page reads the values; a callback is needed for the component to send them.
+    acts = {"ruler": lambda: None, **(on or {})}
+    callbacks = {f"on_{name}_change": act for name, act in acts.items()}
+    return component("picture")(key=key, data=data, **callbacks)

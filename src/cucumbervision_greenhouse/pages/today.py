@@ -1,0 +1,322 @@
+"""Today: what is ready by class and row, how old that is, what to do next, and the pick list."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import streamlit as st
+
+from cucumbervision.errors import CucumberVisionError
+from cucumbervision_greenhouse import resources, round_caches, tasks
+from cucumbervision_greenhouse.agronomy.picking import PickKind, work_of
+from cucumbervision_greenhouse.core_words import words_of
+from cucumbervision_greenhouse.language import counted, marked, ngettext, plain, sentence
+from cucumbervision_greenhouse.language import gettext as _
+from cucumbervision_greenhouse.pages import page_elements
+from cucumbervision_greenhouse.pages.page_elements import button
+from cucumbervision_greenhouse.pages.round_choice import label_options
+from cucumbervision_greenhouse.round_tables import doubtful
+from cucumbervision_greenhouse.rounds.demonstration import is_demonstration
+from cucumbervision_greenhouse.rounds.forecasting import Age
+from cucumbervision_greenhouse.words import (
+    age_words,
+    class_words,
+    clock_words,
+    height_words,
+    length_words,
+    pick_words,
+    position_words,
+    round_day,
+    side_words,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from cucumbervision_greenhouse.agronomy.picking import Pick
+    from cucumbervision_greenhouse.rounds.forecasting import RowPicks, Today
+    from cucumbervision_greenhouse.store.views import RoundSummary
+
+
+@page_elements.of_round
+def page(round_summary: RoundSummary) -> None:
+    """Draw the page."""
+    today = round_caches.today_of(round_summary)
+    _age(round_summary, today)
+    _next(round_summary, today)
+    if not today.rows:
+        return
+    _ready(round_summary, today)
+    st.header(_("Pick list"))
+    address = f"/api/print/{round_summary.key}"
+    st.link_button(_("Print"), address, icon=":material/print:", width="stretch")
+    _picks(round_summary, today)
+
+
+def _age(round_summary: RoundSummary, today: Today) -> None:
+    walked = round_day(round_summary.walked_s)
+    if not round_summary.stops:
+        return
+    if today.age_days < 0:
+        st.warning(clock_words(round_summary.walked_s), icon=":material/error:")
+        return
+    if today.age is Age.USELESS:
+        words = _(
+            "This round is {age} (walked on {when}): it is too old for today. Walk the house again "
+            "for today's list."
+        )
+        st.warning(
+            words.format(age=age_words(today.age_days), when=walked), icon=":material/history:"
+        )
+        return
+    words = _ago(today.age_days).format(when=walked)
+    if today.age_days:
+        words += " " + _("Lengths include the growth expected since then.")
+    (st.warning if today.age is Age.OLD else st.markdown)(words)
+    if is_demonstration(round_summary.key):
+        st.info(_("A computer-made example."), icon=":material/draw:")
+
+
+def _ago(days: int) -> str:
+    if days < 2:
+        today = _("**Measured today** (last stop {when}).")
+        return _("**Measured yesterday** (last stop {when}).") if days else today
+    return ngettext(
+        "**Measured {n} day ago** (last stop {when}).",
+        "**Measured {n} days ago** (last stop {when}).",
+        days,
+    ).replace("{n}", str(days))
+
+
+def _next(round_summary: RoundSummary, today: Today) -> None:
+    """Show what to do next, with a link to the page for it."""
+    progress = tasks.progress(round_summary.key)
+    steps: list[tuple[str, str, str]] = []
+    if progress.waiting:
+        tasks.wake()
+    if not round_summary.stops and progress.first_words:
+        steps.append((progress.first_words, "capture", _("Capture")))
+    elif progress.waiting:
+        words = counted(
+            progress.waiting,
+            "{n} capture is still being measured.",
+            "{n} captures are still being measured.",
+        )
+        steps.append((words, "capture", _("Capture")))
+    if not round_summary.stops and is_demonstration(round_summary.key) and progress.title:
+        st.info(_("The example is being measured; its fruit appear here."))
+    elif not round_summary.stops and not progress.first_words:
+        page_elements.first_steps(begun=True)
+    elif round_summary.stops and today.age is not Age.FRESH:
+        steps.append((_("Start a new round and walk again."), "capture", _("Capture")))
+    elif round_summary.stops and not today.rows and not progress.waiting:
+        words = _("No fruit is ready today. The forecast shows when.")
+        steps.append((words, "forecast", _("Forecast")))
+    if unsure := len(doubtful(round_caches.content_of(round_summary).views)):
+        words = counted(
+            unsure,
+            "{n} fruit was seen only once, with low confidence. Please check.",
+            "{n} fruit were seen only once, with low confidence. Please check.",
+        )
+        steps.append((words, "map", _("Row map")))
+    for words, target, label in steps:
+        says, go = st.columns([3, 1], vertical_alignment="center")
+        says.markdown(f":material/arrow_forward: {words}")
+        with go:
+            page_elements.link(target, label)
+
+
+def _ready(round_summary: RoundSummary, today: Today) -> None:
+    """Say what is still to be picked, by class and row."""
+    today = today.left(_picked(round_summary, today))
+    ready, undecided, too_long = (len(today.of(kind)) for kind in PickKind)
+    names = work_of(today.of(PickKind.READY)).by_class
+    metrics = [(_("Ready today"), ready)]
+    metrics += [(class_words(name), number) for name, number in sorted(names.items())]
+    other_kinds = [(PickKind.UNDECIDED, undecided), (PickKind.TOO_LONG, too_long)]
+    labels = {name: class_words(name) for name in sorted(names)}
+    for kind, count in other_kinds:
+        if count:
+            labels[str(kind)] = _(_KINDS[kind])
+            metrics.append((labels[str(kind)], count))
+    with st.container(horizontal=True):
+        for label, value in metrics:
+            st.metric(plain(label), value, width="content")
+    lines = []
+    for row, counts_of_row in today.by_class().items():
+        counts = {label: counts_of_row.get(name) or "" for name, label in labels.items()}
+        total = sum(counts_of_row.values())
+        lines.append({_("Row"): row or _("not named"), **counts, _("All"): total})
+    if len(lines) > 1:
+        page_elements.table(lines)
+    crop = resources.profile_of(round_summary)[1].title
+    words = counted(
+        ready,
+        "Classes of {crop}. {n} fruit is left in the list below.",
+        "Classes of {crop}. {n} fruit are left in the list below.",
+        crop=_(crop),
+    )
+    if undecided:
+        words += " " + counted(
+            undecided,
+            "{n} more may be ready: its class is undecided.",
+            "{n} more may be ready: their class is undecided.",
+        )
+    st.caption(plain(words))
+
+
+_KINDS = {PickKind.UNDECIDED: marked("May be ready"), PickKind.TOO_LONG: marked("Too long")}
+_SAID = {
+    PickKind.UNDECIDED: marked(
+        "**May be ready**: the length is not known well enough for one class"
+    ),
+    PickKind.TOO_LONG: marked(
+        "**Too long**: longer than every class; they slow the growth of others"
+    ),
+}
+
+
+def _picks(round_summary: RoundSummary, today: Today) -> None:
+    @st.fragment
+    def _draw() -> None:
+        picked = _picked(round_summary, today)
+        rows = {row.row: row for row in today.rows}
+        ready = {name: row_picks.of(PickKind.READY) for name, row_picks in rows.items()}
+        done = {
+            name: sum(_is_picked(p, picked) for p in row_picks) for name, row_picks in ready.items()
+        }
+        counts = {
+            row: f"{plain(row or _('no row'))}: {done[row]}/{len(ready[row])}" for row in rows
+        }
+        label = label_options("pick_row", counts)
+        if st.session_state.get("pick_row") not in rows:
+            named = st.query_params.get("row")
+            page_elements.say_missing("row", rows, _("Nothing is ready in row '{}' today."))
+            st.session_state["pick_row"] = named if named in rows else next(iter(rows))
+        name = st.segmented_control(
+            _("Row, in the order of the walk"),
+            list(rows),
+            format_func=label,
+            key="pick_row",
+            required=True,
+        )
+        row = rows[name or next(iter(rows))]
+        page_elements.name_in_address("row", row.row)
+        total = _("{done} of {all} in all rows").format(
+            done=sum(done.values()), all=sum(map(len, ready.values()))
+        )
+        says = (total, _("look at them"), _("take them off"))
+        for kind, words in zip(PickKind, says, strict=True):
+            picks = row.of(kind)
+            if not picks:
+                continue
+            if explanation := _SAID.get(kind):
+                st.markdown(_(explanation))
+            lines = _lines(round_summary, picks, picked, today.simulated)
+            key = f"picks_{kind}_{round_summary.key}_{row.row}"
+            page_elements.fruit_list(key, _("Fruit to pick"), lines, words, partial(_keep, key))
+        _all_picked(row, picked)
+        _work(today, picked)
+
+    _draw()
+
+
+def _is_picked(pick: Pick, picked: set[str]) -> bool:
+    return pick.fruit.fruit_id in picked
+
+
+def _picked(round_summary: RoundSummary, today: Today) -> set[str]:
+    """Return the keys of the fruit that are picked by now."""
+    keys = resources.store().picked(round_summary.key)
+    return {today.best.get(key, key) for key in keys}
+
+
+def _lines(
+    round_summary: RoundSummary, picks: Sequence[Pick], picked: set[str], simulated: frozenset[str]
+) -> list[dict[str, Any]]:
+    units = resources.settings().units
+    views = {view.key: view for view in round_caches.graded_round(round_summary).fruit}
+    lines = []
+    for pick in picks:
+        key = pick.fruit.fruit_id
+        view = views.get(key)
+        says = [
+            f"{position_words(pick.fruit.position_m, units)} {side_words(pick.fruit.side)}".strip(),
+            "" if view is None else length_words(view.record, units),
+            pick_words(pick),
+            "" if view is None else height_words(view.record, units),
+            _("computer-made") if key in simulated else "",
+        ]
+        picture = None if view is None else round_caches.thumbnail_of(view)
+        picked_now = _is_picked(pick, picked)
+        lines.append({"key": key, "picture": picture, "says": says, "picked": picked_now})
+    return lines
+
+
+def _keep(key: str) -> None:
+    """Save new taps; each message also contains the earlier ones."""
+    handled: set[str] = st.session_state.setdefault("taps_seen", set())
+    store = resources.store()
+    for tap in st.session_state[key].taps or ():
+        if tap["number"] not in handled:
+            handled.add(tap["number"])
+            fruit = [str(tap["key"])]
+            store.pick(fruit) if tap["picked"] else store.unpick(fruit)
+            st.session_state.pop("picked_all", None)
+
+
+def _all_picked(row: RowPicks, picked: set[str]) -> None:
+    ready = row.of(PickKind.READY)
+    unpicked = [p.fruit.fruit_id for p in ready if not _is_picked(p, picked)]
+
+    @st.dialog(_("All picked?"))
+    def _ask() -> None:
+        words = counted(
+            len(unpicked),
+            "{n} fruit of row {row} will be marked as picked.",
+            "{n} fruit of row {row} will be marked as picked.",
+            row=plain(row.row),
+        )
+        st.write(words)
+        yes, no = st.columns(2)
+        if yes.button(_("Yes, all are picked"), type="primary", width="stretch"):
+            try:
+                st.session_state["picked_all"] = resources.store().pick(unpicked)
+            except CucumberVisionError as error:
+                st.error(sentence(words_of(error)), icon=":material/error:")
+            else:
+                st.rerun()
+        if no.button(_("No"), width="stretch"):
+            st.rerun()
+
+    with st.container(key="noprint"):
+        mark, undo = st.columns(2)
+        if mark.button(
+            _("All of row {row} are picked").format(row=plain(row.row)),
+            icon=":material/done_all:",
+            width="stretch",
+            disabled=not unpicked,
+        ):
+            _ask()
+        number = st.session_state.get("picked_all")
+        button(undo, _("Undo 'all picked'"), "undo", _undo, number, disabled=number is None)
+        st.caption(_("Tap a fruit when it is picked. Tap again to undo."))
+
+
+def _undo(number: int) -> None:
+    try:
+        resources.store().undo(number=number)
+    except CucumberVisionError as error:
+        st.toast(plain(words_of(error)))
+    st.session_state.pop("picked_all", None)
+
+
+def _work(today: Today, picked: set[str]) -> None:
+    if today.forecast is None:
+        return
+    unpicked = today.left(picked).of(PickKind.READY)
+    words = page_elements.work_words(work_of(unpicked, resources.settings().rates))
+    says = _("About {work} at your rates ('Forecast', 'Work and crates'). It is {clock}.")
+    st.caption(says.format(work=words, clock=f"{datetime.now():%H:%M}"))

@@ -1,0 +1,182 @@
+"""Background work: measure queued captures and uploads, and merge views of one fruit."""
+
+from __future__ import annotations
+
+from collections import Counter
+from functools import partial
+
+import streamlit as st
+
+from cucumbervision.capture.readers import open_source
+from cucumbervision.capture.source import example_captures
+from cucumbervision.errors import StoreError
+from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision_greenhouse.jobs import Job
+from cucumbervision_greenhouse.language import marked
+from cucumbervision_greenhouse.measuring import measure_waiting
+from cucumbervision_greenhouse.progress import Progress, progress_of
+from cucumbervision_greenhouse.resources import (
+    measurer,
+    profile_of,
+    settings,
+    store,
+    uploads,
+    waiting,
+    worker,
+)
+from cucumbervision_greenhouse.rounds.adding import add_captures
+from cucumbervision_greenhouse.rounds.demonstration import DEMONSTRATION, round_for_capture
+from cucumbervision_greenhouse.rounds.joint_lengths import measure_jointly
+from cucumbervision_greenhouse.rounds.merge_and_link import settle
+from cucumbervision_greenhouse.rounds.merge_and_link import undo as undo_in
+from cucumbervision_greenhouse.store.repository import Store
+from cucumbervision_greenhouse.store.views import LogEntry
+
+
+@st.cache_resource(show_spinner=False)
+def _measuring() -> list[Job]:
+    return []
+
+
+def wake() -> Job | None:
+    """Start measuring the queued captures; return the job, or None if the queue is empty."""
+    jobs = _measuring()
+    if jobs and not jobs[0].finished:
+        return jobs[0]
+    if not waiting().captures():
+        return jobs[0] if jobs else None
+    parts = waiting(), measurer(), store(), _options, _settle
+    # A partial function is not bound to a page, so that it may run with no page open.
+    jobs[:] = [worker().submit(marked("Measuring"), partial(measure_waiting, *parts), None)]
+    return jobs[0]
+
+
+def _options() -> MeasureOptions:
+    return settings().options
+
+
+def measuring_fault() -> str:
+    """Return why queued captures cannot be measured (network, calibration); empty if they can."""
+    jobs = _measuring()
+    return jobs[0].error if jobs else ""
+
+
+@st.cache_resource(show_spinner=False)
+def _queueing() -> list[Job]:
+    return []
+
+
+def queue_uploads() -> None:
+    """Let the captures of complete uploads wait to be measured."""
+    title = marked("Reading the files that were sent")
+    _queueing()[:] = [worker().submit(title, _queue_uploads)]
+
+
+def upload_fault() -> str:
+    """Return why uploads cannot be read now, such as a full disk; empty if they can."""
+    return "".join(job.error for job in _queueing())
+
+
+def _queue_uploads(_: Job) -> None:
+    for key in uploads().whole():
+        uploads().queue(key, waiting(), store(), settings().options.reading)
+        wake()
+
+
+def _settle(round_key: str) -> str:
+    round_summary = store().round(round_key)
+    fault = settle(store(), round_key, profile_of(round_summary)[1] if round_summary else None)
+    mergings()[round_key] += 1
+    work = partial(_measure_all_views, round_key)
+    worker().submit(marked("Measuring fruit by all their views"), work, round_key)
+    return fault
+
+
+def _measure_all_views(round_key: str, job: Job) -> None:
+    def report(done: int, total: int) -> None:
+        job.done, job.total = done, total
+
+    # A capture that arrives meanwhile is measured first, and the round merged with it.
+    done = measure_jointly(store(), round_key, report, lambda: bool(waiting().captures()))
+    job.notes += (failure.message for failure in done.failures)
+    if done.fruit:
+        mergings()[round_key] += 1
+
+
+@st.cache_resource(show_spinner=False)
+def mergings() -> Counter[str]:
+    """Return how often the views of each round were merged, by the rounds' keys."""
+    return Counter()
+
+
+def merge(round_key: str) -> None:
+    """Merge the views of a round in the background."""
+
+    def work(job: Job) -> None:
+        job.notes += filter(None, [_settle(round_key)])
+
+    worker().submit(marked("Merging views of the same fruit"), work, round_key)
+
+
+def undo(store: Store, round_key: str, *, number: int | None = None) -> LogEntry:
+    """Undo the viewer's last action in a round, and return it.
+
+    Rounds whose stop or house has changed are merged again.
+
+    Parameters
+    ----------
+    store : Store
+        Signed by the viewer.
+    round_key : str
+        The round.
+    number : int, optional
+        Number of another action in the log, to undo instead.
+
+    Raises
+    ------
+    StoreError
+        If there is nothing to undo, or a later action depends on it.
+    """
+    actions = store.own_actions(round_key)
+    action = next((x for x in actions if number in (None, x.number)), None)
+    if action is None:
+        raise StoreError("nothing to undo", remedy="see the log")
+    for changed in undo_in(store, number=action.number):
+        merge(changed)
+    return action
+
+
+def progress(round_key: str) -> Progress:
+    """Return the progress of a round, the same for every page."""
+    measured = next((job.measured for job in _measuring() if not job.finished), None)
+    queue = waiting().captures(), waiting().set_aside()
+    return progress_of(round_key, *queue, measured, worker().unfinished(), measuring_fault())
+
+
+@st.cache_resource(show_spinner=False)
+def prepare() -> Job | None:
+    """Measure what waits, and the bundled captures into an empty store."""
+    waiting().clean()
+    if uploads().whole():
+        queue_uploads()
+    if wake() is not None:
+        return None
+    if store().rounds() or store().rounds(deleted=True):
+        return None
+    round_for_capture(store(), "", simulated=True, profile=settings().profile)
+    return worker().submit(marked("Measuring the bundled captures"), _demonstrate, DEMONSTRATION)
+
+
+def _demonstrate(job: Job) -> None:
+    options = settings().options
+    places = [example_captures()]
+    job.total = open_source(places[0]).total or 0
+    done = add_captures(store(), DEMONSTRATION, places, options, report=lambda _: job.step())
+    job.notes += (added.failure.message for added in done if added.failure is not None)
+    merge(DEMONSTRATION)
+
+
+def warm_up() -> Job:
+    """Load the networks before the first capture."""
+    work = partial(measurer().warm_up, settings().options)
+    return worker().submit(marked("Loading the networks"), lambda _: work())

@@ -1,0 +1,223 @@
+from __future__ import annotations
+
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.greenhouse.camera.test_cameras import Walking, frame
+from tests.greenhouse.conftest import add_one
+
+from cucumbervision.capture.frames import Stop
+from cucumbervision.capture.realsense import CameraConfig
+from cucumbervision.capture.source import example_captures
+from cucumbervision.errors import InstancesError, StoreError
+from cucumbervision.perception.registry import load_registry
+from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision_greenhouse.camera.cameras import Feed, FolderCamera, StreamCamera
+from cucumbervision_greenhouse.camera.shutter import Press, Shutter
+from cucumbervision_greenhouse.jobs import Job
+from cucumbervision_greenhouse.measuring import SharedMeasurer, measure_waiting
+from cucumbervision_greenhouse.rounds.demonstration import DEMONSTRATION
+from cucumbervision_greenhouse.store.records import key_of
+from cucumbervision_greenhouse.store.repository import Store
+from cucumbervision_greenhouse.store.waiting import WaitingCaptures
+
+WALK = key_of("walk")
+
+
+@pytest.fixture
+def waiting(tmp_path: Path) -> WaitingCaptures:
+    return WaitingCaptures(tmp_path / "kept")
+
+
+def folder(path: Path) -> Feed:
+    return Feed(FolderCamera(example_captures()), path.with_suffix(".frames"))
+
+
+def played(recording: Path, path: Path) -> Feed:
+    """A recording in the camera's place, of which the first frame is there."""
+    feed = Feed(StreamCamera(CameraConfig(playback=recording, warm_up=0, fps=15)), path / "frames")
+    feed.grab(1, time.time()).capture()
+    return feed
+
+
+def held(path: Path, seconds: float) -> Feed:
+    """A camera that has been open for some time, and sends no more."""
+    feed, now_s = Feed(Walking(), path / "frames"), time.time()
+    with feed._changed:
+        for number in range(int(4 * seconds) + 1):
+            feed._ring.put(frame(number), now_s - seconds + 0.25 * number)
+        feed._thread, feed._state = threading.current_thread(), "live"
+    return feed
+
+
+def test_quick_presses_are_each_a_stop_and_none_counts_twice(
+    store: Store, waiting: WaitingCaptures
+) -> None:
+    replay, told = folder(waiting.folder), list[int]()
+    shutter = Shutter(store, waiting, lambda: told.append(1))
+    for number in "aabbc":
+        shutter.press(replay, 1, WALK, Stop("1", "left", 0.0), Press(number, time.time()))
+    shutter.close()
+    assert len(told) == 3
+    kept = waiting.captures()
+    # Drawn captures: never the grower's round.
+    assert {one.round_key for one in kept} == {DEMONSTRATION}
+    assert [one.stop.step for one in kept] == [1, 2, 3]
+    assert len({one.load().name for one in kept}) == 3
+
+
+def test_two_browsers_never_give_one_place_to_two_stops(
+    store: Store, waiting: WaitingCaptures
+) -> None:
+    replay, shutter = folder(waiting.folder), Shutter(store, waiting, lambda: None)
+    places = [("a", 0.0), ("b", 0.5), ("c", 0.5), ("d", 0.0), ("e", 0.75)]
+    for number, at_m in places:
+        shutter.press(replay, 1, WALK, Stop("1", "left", at_m), Press(number, time.time()))
+    shutter.press(replay, 1, WALK, Stop("1", "right", 0.5), Press("other side", time.time()))
+    shutter.close()
+    kept = [one.stop.position_m for one in waiting.captures()]
+    # The third and fourth go on from the last, as far as the last two lie apart.
+    assert kept == [0.0, 0.5, 1.0, 1.5, 0.75, 0.5]
+    moved = [one.moved for one in shutter.pressed(WALK)]
+    assert [one and one.position_m for one in moved] == [None, None, 1.0, 1.5, None, None]
+
+
+def test_presses_that_are_told_late_together_keep_their_order(
+    store: Store, waiting: WaitingCaptures
+) -> None:
+    replay, shutter = folder(waiting.folder), Shutter(store, waiting, lambda: None)
+    now = time.time()
+    for number, at_s in (("a", now), ("b", now + 0.001), ("c", now + 60)):
+        shutter.press(replay, 1, WALK, Stop("1", "left", 0.0), Press(number, at_s))
+    shutter.close()
+    kept = waiting.captures()
+    assert [one.stop.step for one in kept] == [1, 2, 3]
+    assert all(now <= one.pressed_s < now + 60 for one in kept)
+
+
+def test_a_press_whose_picture_is_gone_is_refused_and_told(
+    recording: Path, store: Store, waiting: WaitingCaptures, tmp_path: Path
+) -> None:
+    stop, now = Stop("1", "left", 0.0), time.time()
+    feed, shutter = played(recording, tmp_path), Shutter(store, waiting, lambda: None)
+    for number in "ab":
+        refused = shutter.press(feed, 1, WALK, stop, Press(number, now - 100))
+        assert shutter.press(feed, 1, WALK, stop, Press(number, now - 100)) is refused
+    shutter.close()
+    feed.close()
+    errors = [one.error for one in shutter.pressed(WALK)]
+    assert len(errors) == 2
+    assert all("no picture of that moment" in one for one in errors)
+    assert waiting.captures() == []
+
+
+def test_every_press_of_a_walk_with_gaps_has_its_picture(
+    store: Store, waiting: WaitingCaptures, tmp_path: Path
+) -> None:
+    """A walk of 60 presses, of which a third come late and together."""
+    for feed in (held(tmp_path, 30.0), folder(tmp_path)):
+        shutter, until_s = Shutter(store, waiting, lambda: None), time.time()
+        moments = [until_s - 30.0 + 0.5 * k for k in range(60)]
+        for number in sorted(range(60), key=lambda k: (k // 20 == 1, k)):
+            place = Stop("1", "left", 0.4 * number)
+            shutter.press(feed, 1, WALK, place, Press(f"{number}", moments[number]))
+        shutter.close()
+        assert len(waiting.captures()) == 60
+        assert [one.error for one in shutter.pressed(WALK)] == [""] * 60
+        for one in waiting.captures():
+            waiting.done(one)
+
+
+def test_presses_that_an_earlier_program_kept_are_neither_taken_again_nor_refused(
+    store: Store, waiting: WaitingCaptures
+) -> None:
+    before, replay = Shutter(store, waiting, lambda: None), folder(waiting.folder)
+    stop, press = Stop("1", "left", 0.0), Press("a", time.time())
+    assert before.press(replay, 1, WALK, stop, press)
+    before.close()
+    again = Shutter(store, waiting, lambda: None)
+    assert again.press(folder(waiting.folder), 1, WALK, stop, press) is None
+    again.close()
+    assert again.pressed(WALK) == []
+    assert len(waiting.captures()) == 1
+
+
+def test_what_waits_is_measured_once_though_the_program_was_killed_in_between(
+    store: Store, waiting: WaitingCaptures
+) -> None:
+    replay = folder(waiting.folder)
+    shutter = Shutter(store, waiting, lambda: None)
+    shutter.press(replay, 1, WALK, Stop("1", "left", 0.0), Press("a", time.time()))
+    shutter.close()
+    (one,) = waiting.captures()
+    measurer, options = SharedMeasurer(load_registry()), MeasureOptions(instances="dataset")
+    # Killed after the stop was saved and before it was let go.
+    add_one(store, one.round_key, one.load(), options, key=one.key)
+    settled: list[str] = []
+
+    def settle(round_key: str) -> str:
+        settled.append(round_key)
+        return ""
+
+    assert (
+        measure_waiting(waiting, measurer, store, lambda: options, settle, Job(1, "measuring")) == 1
+    )
+    assert waiting.captures() == []
+    assert settled == [DEMONSTRATION]
+    assert [stop.key for stop in store.stops(DEMONSTRATION)] == [one.key]
+    assert np.isclose(store.stops(DEMONSTRATION)[0].taken_s, one.pressed_s)
+
+
+def test_a_damaged_capture_does_not_hold_the_others_up(
+    store: Store, waiting: WaitingCaptures
+) -> None:
+    replay = folder(waiting.folder)
+    shutter = Shutter(store, waiting, lambda: None)
+    for number in "ab":
+        shutter.press(replay, 1, WALK, Stop("1", "left", 0.0), Press(number, time.time()))
+    shutter.close()
+    first, second = waiting.captures()
+    (first.folder / "color_000000.png").write_bytes(b"no picture")
+    measurer, options = SharedMeasurer(load_registry()), MeasureOptions(instances="dataset")
+    job = Job(1, "measuring")
+    measure_waiting(waiting, measurer, store, lambda: options, lambda _: "", job)
+    assert [stop.key for stop in store.stops(DEMONSTRATION)] == [second.key]
+    assert [one.key for one in waiting.set_aside()] == [first.key]
+    assert "color_000000.png" in job.notes[0]
+
+
+def test_what_waits_is_not_tried_while_nothing_can_be_measured(
+    store: Store, waiting: WaitingCaptures, tmp_path: Path
+) -> None:
+    shutter = Shutter(store, waiting, lambda: None)
+    shutter.press(folder(waiting.folder), 1, WALK, Stop("1"), Press("a", time.time()))
+    shutter.close()
+    lost = MeasureOptions(instances=str(tmp_path / "lost.json"))
+    measurer = SharedMeasurer(load_registry())
+    with pytest.raises(InstancesError):
+        measure_waiting(waiting, measurer, store, lambda: lost, lambda _: "", Job(1, "measuring"))
+    assert [one.tries for one in waiting.captures()] == [0]
+
+
+def test_a_press_that_the_disk_refused_is_saved_when_it_is_sent_again(
+    recording: Path, store: Store, tmp_path: Path
+) -> None:
+    (tmp_path / "kept").write_text("no folder")
+    waiting = WaitingCaptures(tmp_path / "kept")
+    feed = played(recording, tmp_path)
+    shutter, stop = Shutter(store, waiting, lambda: None), Stop("1", "left", 0.0)
+    press = Press("a", time.time())
+    refused = shutter.press(feed, 5, WALK, stop, press)
+    assert refused is not None
+    assert isinstance(refused.queued.exception(60), StoreError)
+    assert not refused.is_lost
+    (tmp_path / "kept").unlink()
+    saved = shutter.press(feed, 5, WALK, stop, press)
+    assert saved is not None
+    saved.queued.result(60)
+    feed.close()
+    shutter.close()
+    assert [one.pressed_s for one in waiting.captures()] == [press.at_s]

@@ -1,0 +1,239 @@
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("streamlit")
+
+from streamlit.runtime.caching.cache_utils import CachedFunc
+from tests.greenhouse.pages.app_pages import (
+    LONG,
+    PAGES,
+    WALK,
+    app,
+    said,
+    wait_for_jobs,
+)
+
+from cucumbervision.capture.frames import Stop
+from cucumbervision.capture.readers import open_source
+from cucumbervision.capture.source import example_captures
+from cucumbervision_greenhouse import resources, round_caches
+from cucumbervision_greenhouse.camera.state import walk
+from cucumbervision_greenhouse.rounds import merge_and_link
+from cucumbervision_greenhouse.rounds.demonstration import DEMONSTRATION, round_for_capture
+from cucumbervision_greenhouse.rounds.from_store import StoredRow
+from cucumbervision_greenhouse.store.queries import Queries
+from cucumbervision_greenhouse.store.records import Round, StopRecord, key_of, new_key
+from cucumbervision_greenhouse.store.repository import Store, open_store
+from cucumbervision_greenhouse.store.views import RoundSummary
+
+pytestmark = pytest.mark.usefixtures("fresh_caches")
+ROOT = Path(__file__).parents[3]
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_every_page_opens_on_an_empty_store(
+    page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CUCUMBERVISION_STORE", str(tmp_path / "new" / "house.db"))
+    test = app(page)
+    assert not test.exception
+    if page != "settings":
+        assert "round" in said(test).lower()
+
+
+def test_days_that_are_not_linked_are_no_change(house: Path) -> None:
+    with open_store(house) as store:
+        later = Round(new_key(), "next", "house 1", profile="long-cucumber")
+        store.save_round(later)
+        for view in store.stops(WALK):
+            stop = replace(store.stop(view.key), key=new_key(), round_key=later.key)
+            store.save_stop(replace(stop, taken_s=time.time() + 86400 + (view.step or 0)))
+        first, last = (
+            [view.key for view in store.detections(key) if view.best] for key in (WALK, later.key)
+        )
+    words = "No fruit of one day could be told to be one of the other"
+    assert words in said(app("days", round=later.key))
+    with open_store(house) as store:
+        store.link_growth(first[0], last[0])
+    assert words not in said(app("days", round=later.key))
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_every_page_opens_on_a_round(page: str, house: Path) -> None:
+    assert not app(page).exception
+
+
+@pytest.mark.parametrize(
+    ("page", "part", "words"),
+    [
+        ("results", "fruit", "no such fruit"),
+        ("row_map", "fruit", "no such fruit"),
+        ("row_map", "stop", "no such stop"),
+    ],
+)
+def test_an_address_of_no_fruit_or_stop_is_told(
+    page: str, part: str, words: str, house: Path
+) -> None:
+    assert words in said(app(page, **{part: "![x](http://a)"}))
+
+
+def test_every_page_counts_what_is_saved_of_its_round_alike(house: Path) -> None:
+    empty = Round(key_of("empty"), "evening", "house 1")
+    capture = next(iter(open_source(example_captures()))).load()
+    with open_store(house) as store:
+        store.save_round(empty)
+        for number, key in enumerate([WALK, empty.key, empty.key, empty.key, WALK]):
+            place = Stop("1", "left", 50.0 + number)
+            waiting = replace(capture, stop=place, name=str(number))
+            resources.waiting().put(waiting, key_of(number), key, 1_700_000_000.0 + number)
+        busy = threading.Event()
+        resources.worker().submit("Loading the networks", lambda _: busy.wait(600))
+        told = "3 captures are saved, and none is measured yet"
+        for page in ("today", "results"):
+            words = said(app(page, round=empty.key))
+            assert told in words
+            assert "no stops yet" not in words
+        walked = walk(store, empty.key, "camera")
+        assert walked["first"].startswith(told)
+        work = {"words": "Measuring: 0 of 3 captures; 2 of other rounds wait too"}
+        assert walked["work"] == round_caches.news(empty.key)["work"]
+        assert walked["work"] == {**work, "done": 0, "total": 3, "waiting": 3}
+        assert "2 captures are still being measured" in said(app("today", round=WALK))
+        assert round_caches.news(WALK)["work"]["waiting"] == 2
+        for one in resources.waiting().captures():
+            resources.waiting().done(one)
+        busy.set()
+        wait_for_jobs()
+        assert "no stops yet" in said(app("results", round=empty.key))
+        assert walk(store, empty.key, "camera")["first"] == ""
+
+
+def test_why_nothing_is_measured_is_told_on_every_page(house: Path, tmp_path: Path) -> None:
+    lost = tmp_path / "lost.json"
+    resources.change_settings(calibration=str(lost))
+    capture = next(iter(open_source(example_captures()))).load()
+    place = Stop("1", "left", 50.0)
+    resources.waiting().put(replace(capture, stop=place), key_of("lost"), WALK, time.time())
+    assert app("today", round=WALK).exception == []
+    wait_for_jobs()
+    words = round_caches.news(WALK)["work"]["words"]
+    assert words.startswith("1 capture waits to be measured: ")
+    assert "lost.json" in words
+
+
+def test_a_deleted_demonstration_comes_back_with_the_next_drawn_capture(store: Store) -> None:
+    round_for_capture(store, WALK, simulated=True)
+    store.delete_round(DEMONSTRATION)
+    assert round_for_capture(store, WALK, simulated=True) == DEMONSTRATION
+    assert DEMONSTRATION in {one.key for one in store.rounds()}
+
+
+def test_every_page_opens_on_500_stops(
+    house: Path, make_long: Callable[[Store, StopRecord, int], None]
+) -> None:
+    with open_store(house) as store:
+        template = store.stop(store.stops(WALK)[0].key)
+        make_long(store, template, 500)
+    for page in ("results", "row_map", "forecast", "accuracy"):
+        test = app(page, round=LONG, source="replay")
+        assert not test.exception
+        if page == "results":
+            assert next(m.value for m in test.metric if m.label == "Fruit") == "2500"
+        if page == "row_map":
+            drawn = [
+                one for one in test.get("bidi_component") if "picture" in one.proto.component_name
+            ]
+            marks = [
+                mark[2]
+                for one in drawn
+                for layer in json.loads(one.proto.json)["layers"]
+                for mark in layer["marks"]
+            ]
+            assert len(set(marks)) == len(marks) == 2500
+            # A tablet in the house loads them; before, it was 240 a mark.
+            assert sum(len(one.proto.json) for one in drawn) < 130 * len(marks)
+
+
+@pytest.mark.parametrize("page", ["results", "row_map", "forecast", "accuracy"])
+def test_a_page_asks_once_whatever_the_number_of_its_fruit(
+    page: str,
+    house: Path,
+    make_long: Callable[[Store, StopRecord, int], None],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with open_store(house) as store:
+        make_long(store, store.stop(store.stops(WALK)[0].key), 100)
+    test = app(page, round=LONG)  # reads what is kept then
+    asked: Counter[str] = Counter()
+    ask, read = CachedFunc.__call__, Queries.rounds
+
+    def counted(cached: Any, *args: Any, **named: Any) -> Any:
+        asked["of caches"] += 1
+        return ask(cached, *args, **named)
+
+    def rounds(store: Queries, *, deleted: bool = False) -> list[RoundSummary]:
+        asked[f"for rounds, {deleted=}"] += 1
+        return read(store, deleted=deleted)
+
+    monkeypatch.setattr(CachedFunc, "__call__", counted)
+    monkeypatch.setattr(Queries, "rounds", rounds)
+    assert not test.run().exception
+    assert 0 < asked.pop("of caches") < 100  # before, 13,000 on a map of 500 fruit
+    assert asked == {"for rounds, deleted=False": 1, "for rounds, deleted=True": 1}
+
+
+def test_what_pages_share_is_computed_once(house: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    counted: list[str] = []
+    report = merge_and_link._report
+
+    def counting(row: StoredRow, *args: Any, **named: Any) -> merge_and_link.RowCounts:
+        counted.append(row.name)
+        return report(row, *args, **named)
+
+    monkeypatch.setattr(merge_and_link, "_report", counting)
+    for page in ("today", "forecast", "row_map"):
+        assert not app(page, round=WALK).exception
+    assert len(set(counted)) == len(counted) == 1  # the rows of the round
+
+
+def test_news_of_a_round_count_no_other(house: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = round_caches.news(WALK)["version"]
+    monkeypatch.delattr(Queries, "rounds")  # every open page asks three times a second
+    assert round_caches.news(WALK)["version"] == before
+    for missing in ("", "no key", new_key()):
+        assert round_caches.news(missing)["version"].endswith("-0")
+
+
+def test_the_first_page_needs_neither_tables_nor_charts_nor_networks(
+    house: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A viewer waits for what a new process imports."""
+    monkeypatch.setenv("CUCUMBERVISION_LOGIN", "none")
+    code = (
+        "import sys\n"
+        "from streamlit.testing.v1 import AppTest\n"
+        "from cucumbervision_greenhouse import resources\n"
+        "from cucumbervision_greenhouse.pages import app\n"
+        "test = AppTest.from_file(app.__file__, default_timeout=600).run()\n"
+        "assert not test.exception and not test.error\n"
+        "assert 'Pick list' in [heading.value for heading in test.header]\n"
+        "assert not resources.worker().unfinished()\n"
+        "late = ('pandas', 'pyarrow', 'altair', 'scipy.stats', 'onnxruntime', 'openvino',\n"
+        "        'pydeck', 'streamlit.emojis')\n"
+        "print(*[name for name in late if name in sys.modules])\n"
+    )
+    command = [sys.executable, "-W", "ignore", "-c", code]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT)
+    assert done.stdout.strip() == ""

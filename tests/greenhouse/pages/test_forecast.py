@@ -1,0 +1,74 @@
+from __future__ import annotations
+
+import re
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("streamlit")
+
+
+from tests.greenhouse.pages.app_pages import WALK, app, said, tables
+
+from cucumbervision_greenhouse import resources
+from cucumbervision_greenhouse.agronomy.forecast import Forecast
+from cucumbervision_greenhouse.pages import charts
+from cucumbervision_greenhouse.store.repository import open_store
+
+pytestmark = pytest.mark.usefixtures("fresh_caches")
+
+
+def test_the_forecast_names_days_by_their_dates(house: Path) -> None:
+    test = app("forecast")
+    days = [line["Day"] for line in tables(test)[0]]
+    in_two_days = time.localtime(time.time() + 2 * 86400)
+    assert days[:3] == ["today", "tomorrow", time.strftime("%a %-d %b", in_two_days)]
+    # Some of the eight bundled fruit are class I as they were measured.
+    assert "class I today" in said(test)
+
+
+def test_the_chart_is_made_once_and_again_for_other_words_or_numbers(
+    house: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made, make = [], charts.forecast_chart
+
+    def counted(prediction: Forecast) -> Any:
+        made.append(prediction)
+        return make(prediction)
+
+    monkeypatch.setattr(charts, "forecast_chart", counted)
+    test = app("forecast")
+    assert len(test.run().get("vega_lite_chart")) == len(made) == 1
+    resources.change_settings(language="nl")
+    assert len(test.run().get("vega_lite_chart")) == 1
+    assert len(made) == 2
+    with open_store(house) as store:
+        store.pick([store.detections(WALK)[0].key])
+    test.run()
+    assert len(made) == 3
+
+
+def test_work_is_drawn_where_it_is_open(house: Path) -> None:
+    test = app("forecast")
+    assert not test.number_input
+    test.session_state["forecast_tabs"] = "Work and crates"
+    assert len(test.run().number_input) == 3
+
+
+def test_growth_is_told_in_the_unit_of_the_lengths(house: Path) -> None:
+    assert "Expected growth: 3.0 cm a day (2.0 to 4.0)" in said(app("forecast"))
+    resources.change_settings(
+        unit="in"
+    )  # 3 cm are 1.181 in, 2 and 4 cm (one digit) 0.79 and 1.57 in
+    assert re.search(
+        r"Expected growth: 1\.18 in a day \(0\.[78]\d to 1\.5\d\)", said(app("forecast"))
+    )
+
+
+def test_rates_beyond_the_limits_of_their_fields_are_shown(house: Path) -> None:
+    rates = {"fruit_per_hour": 9000.0, "minutes_per_row": 500.0, "fruit_per_crate": 2000}
+    resources.change_settings(**rates)
+    assert not app("forecast", forecast_tabs="Work and crates").exception
+    assert {name: getattr(resources.settings(), name) for name in rates} == rates

@@ -1,0 +1,207 @@
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("streamlit")
+
+from streamlit.testing.v1 import AppTest
+from tests.greenhouse.pages.app_pages import (
+    PAGES,
+    WALK,
+    app,
+    said,
+    tap,
+    wait_for_jobs,
+)
+
+from cucumbervision.capture.readers import open_source
+from cucumbervision.capture.source import example_captures
+from cucumbervision_greenhouse import resources
+from cucumbervision_greenhouse.rounds.merge_and_link import link_rounds, settle
+from cucumbervision_greenhouse.store.records import Round, key_of, new_key
+from cucumbervision_greenhouse.store.repository import Store, open_store
+
+pytestmark = pytest.mark.usefixtures("fresh_caches")
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if page != "settings"])
+def test_an_address_of_no_round_shows_no_other_one(page: str, house: Path) -> None:
+    test = app(page, round="nonsense")
+    assert "There is no round 'nonsense'" in said(test)
+    assert not [*test.metric, *test.button_group, *test.get("bidi_component")]
+    test.run()  # drawn anew, as by news
+    assert "There is no round 'nonsense'" in said(test)
+    test.selectbox(key="round").select(WALK).run()
+    assert "nonsense" not in said(test)
+
+
+def test_a_round_is_renamed_deleted_and_brought_back(house: Path) -> None:
+    def rounds() -> list[str]:
+        with open_store(house) as store:
+            return [one.record.name for one in store.rounds()]
+
+    test = app("results", round=WALK)
+    test.text_input(key=f"name_{WALK}").set_value("Evening").run()
+    tap(test, "Rename")
+    assert rounds() == ["Evening"]
+    tap(test, "Delete this round")
+    assert rounds() == []
+    assert "There is no round yet" in said(test)
+    test.button(key=f"back_{WALK}").click().run()
+    assert rounds() == ["Evening"]
+    assert test.session_state["round"] == WALK
+
+
+def test_the_names_that_another_viewer_gives_are_shown(house: Path) -> None:
+    test = app("results", round=WALK)
+    with open_store(house) as store:
+        store.rename_round(WALK, "Evening")
+        store.move_rounds([WALK], "North")
+    test.run()
+    fields = {field: test.text_input(key=f"{field}_{WALK}") for field in ("name", "house")}
+    assert [field.value for field in fields.values()] == ["Evening", "North"]
+    assert not [button for button in test.button if "house" in button.label]
+    fields["house"].set_value("South").run()
+    assert test.text_input(key=f"house_{WALK}").value == "South"
+
+
+def test_a_name_that_another_viewer_has_changed_meanwhile_is_not_overwritten(house: Path) -> None:
+    first, second = app("results", round=WALK), app("results", round=WALK)
+    for test, name in ((second, "Evening"), (first, "Noon")):
+        test.text_input(key=f"name_{WALK}").set_value(name).run()
+    tap(first, "Rename")
+    tap(second, "Rename")
+    assert "changed it meanwhile" in said(second)
+    assert second.text_input(key=f"name_{WALK}").value == "Noon"
+    for test, name in ((second, "South"), (first, "North")):
+        test.text_input(key=f"house_{WALK}").set_value(name).run()
+    tap(first, "Rename the house (1 round)")
+    tap(second, "Rename the house (1 round)")
+    assert "changed it meanwhile" in said(second)
+    with open_store(house) as store:
+        [record] = [summary.record for summary in store.rounds()]
+    assert (record.name, record.house) == ("Noon", "North")
+
+
+def test_a_round_that_captures_wait_for_is_not_deleted(house: Path) -> None:
+    capture = next(iter(open_source(example_captures()))).load()
+    one = resources.waiting().put(capture, new_key(), WALK, time.time())
+    test = app("results", round=WALK)
+    tap(test, "Delete this round")
+    assert "1 capture waits to be measured into it" in said(test)
+    resources.waiting().done(one)
+    tap(test, "Delete this round")
+    with open_store(house) as store:
+        assert store.rounds() == []
+
+
+def test_when_a_round_is_deleted_its_neighbours_are_linked(
+    house: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    linked: list[tuple[str, str]] = []
+
+    def link(store: Store, earlier: str, later: str, *rest: Any) -> object:
+        linked.append((earlier, later))
+        return link_rounds(store, earlier, later, *rest)
+
+    monkeypatch.setattr("cucumbervision_greenhouse.rounds.merge_and_link.link_rounds", link)
+    with open_store(house) as store:
+        [walk] = store.rounds()
+        keys = [WALK]
+        for day in (1, 2):
+            began_s = walk.record.started_s + day * 86400.0
+            record = replace(walk.record, key=key_of("day", day), started_s=began_s)
+            store.save_round(replace(record, name="![x](http://a)"))
+            for view in store.stops(WALK):
+                stop = replace(store.stop(view.key), key=new_key(), round_key=record.key)
+                store.save_stop(replace(stop, taken_s=view.taken_s + day * 86400.0))
+            keys.append(record.key)
+        for key in keys:
+            assert settle(store, key) == ""
+        assert {one for one, later in linked if later == keys[2]} == {keys[1]}
+        test = app("results", round=keys[1])
+        tap(test, "Delete this round")
+        assert (keys[0], keys[2]) in linked
+    back = test.run().button(key=f"back_{keys[1]}").label
+    assert back.startswith("Restore: \\!\\[x\\]\\(http\u2060\\://a\\)")
+
+
+def test_a_round_is_begun(house: Path) -> None:
+    test = app("today")
+    test.text_input(key="new_name").set_value("Evening").run()
+    next(b for b in test.button if b.label == "Start this round").click().run()
+    with open_store(house) as store:
+        newest = store.rounds()[0]
+        assert newest.record.name == "Evening"
+        assert newest.record.profile == "long-cucumber"
+    assert test.session_state["round"] == newest.key
+
+
+def test_a_house_is_chosen_of_the_known_ones_and_one_by_another_name_is_told(house: Path) -> None:
+    with open_store(house) as store:
+        store.save_round(Round(key_of("north"), "old", "North", 1_600_000_000.0))
+    test = app("today")
+    assert test.text_input(key="new_house").value == "house 1"
+    next(x for x in test.button_group if x.key == "known_house").select("North").run()
+    next(b for b in test.button if b.label == "Start this round").click().run()
+    test.text_input(key="new_house").set_value("1\u202e").run()
+    next(b for b in test.button if b.label == "Start this round").click().run()
+    assert "U+202E" in said(test)
+    test.text_input(key="new_house").set_value("HOUSE  1").run()
+    next(b for b in test.button if b.label == "Start this round").click().run()
+    assert "'house 1', which is known" in test.toast[0].value
+    with open_store(house) as store:
+        assert [one.record.house for one in store.rounds()] == [
+            "house 1",
+            "North",
+            "house 1",
+            "North",
+        ]
+
+
+def test_a_round_that_was_left_is_not_opened_again_by_an_older_address(house: Path) -> None:
+    script = (
+        "from cucumbervision_greenhouse.pages.app import read_address\n"
+        "from cucumbervision_greenhouse.pages.round_choice import choose_round\n"
+        "read_address()\nchoose_round()\n"
+    )
+    test = AppTest.from_string(script, default_timeout=600)
+    test.query_params["round"] = WALK
+    test.run()
+    test.text_input(key="new_name").set_value("Monday").run()
+    next(b for b in test.button if b.label == "Start this round").click().run()
+    begun = test.session_state["round"]
+    assert test.query_params["round"] == begun
+    # What a page sent before it knew the new address.
+    test.query_params["round"] = WALK
+    assert test.run().session_state["round"] == begun
+    assert test.query_params["round"] == begun
+    # Once it has it, going back opens the round of before.
+    test.run()
+    test.query_params["round"] = WALK
+    assert test.run().session_state["round"] == WALK
+
+
+def test_a_house_is_renamed_and_merged_on_the_page(house: Path) -> None:
+    second = Round(new_key(), "second", "North", time.time() - 5 * 86400)
+    with open_store(house) as store:
+        store.save_round(second)
+
+    def houses() -> list[str]:
+        with open_store(house) as store:
+            return sorted(x.record.house for x in store.rounds())
+
+    test = app("today", round=WALK, changing_round_0=True)
+    test.text_input(key=f"house_{WALK}").input("South").run()
+    tap(test, "Rename the house (1 round)")
+    assert houses() == ["North", "South"]
+    test = app("today", round=WALK, changing_round_0=True)
+    test.text_input(key=f"house_{WALK}").input("north").run()
+    tap(test, "Merge the house with 'North' (1 round)")
+    assert houses() == ["North", "North"]
+    wait_for_jobs()

@@ -1,0 +1,264 @@
+"""Who is admitted: by the address, by the token, and by a proxy that logs people in."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+from unittest.mock import AsyncMock
+
+import pytest
+
+pytest.importorskip("streamlit")
+
+from cucumbervision_greenhouse.access import (
+    COOKIE,
+    DEVICE,
+    VIEWER,
+    AccessGuard,
+    Login,
+    cookie_of,
+    decide_login,
+    device_of,
+)
+
+TOKEN = "a-token-of-this-test-only"
+
+
+def ask(
+    guard_of: tuple[Login, str],
+    path: str = "/",
+    *,
+    query: str = "",
+    kind: str = "http",
+    method: str = "GET",
+    extension: str = "",
+    **headers: str,
+) -> tuple[bool, list[dict[str, Any]]]:
+    """Send a request through the guard; return whether it went on, and the answer."""
+    reached, sent = [], list[dict[str, Any]]()
+
+    async def app(*_: object) -> None:
+        reached.append(True)
+
+    async def send(message: dict[str, Any]) -> None:
+        sent.append(message)
+
+    async def receive() -> None:
+        pytest.fail("the body was read")
+
+    scope: dict[str, Any] = {
+        "type": kind,
+        "extensions": {extension: {}} if extension else {},
+        "path": path,
+        "query_string": query.encode(),
+        "headers": [(name.encode(), value.encode()) for name, value in headers.items()],
+    }
+    if kind == "http":
+        scope["method"] = method
+    asyncio.run(AccessGuard(app, *guard_of)(scope, receive, send))
+    return bool(reached), sent
+
+
+@pytest.mark.parametrize("address", ["127.0.0.1", "localhost", "::1"])
+def test_this_machine_needs_no_login_unless_asked_for(address: str) -> None:
+    assert decide_login(address) is Login.NONE
+    assert decide_login(address, always=True) is Login.TOKEN
+
+
+@pytest.mark.parametrize("address", ["0.0.0.0", "::", "192.168.1.5", "greenhouse.local", ""])
+def test_other_addresses_need_one(address: str) -> None:
+    assert decide_login(address) is Login.TOKEN
+
+
+@pytest.mark.parametrize(
+    ("headers", "admitted"),
+    [
+        ({"host": "127.0.0.1:8501"}, True),
+        ({"host": "localhost:8501", "origin": "http://localhost:8501"}, True),
+        ({"host": "[::1]:8501"}, True),
+        ({"host": "evil.example:8501"}, False),  # a name that was rebound to this machine
+        ({"host": "localhost:8501", "origin": "https://evil.example"}, False),
+        ({"host": "localhost:8501", "origin": "null"}, False),
+        ({}, False),
+    ],
+)
+def test_without_a_login_only_loopback_names_are_admitted(
+    headers: dict[str, str], admitted: bool
+) -> None:
+    assert ask((Login.NONE, ""), **headers)[0] is admitted
+    reached, sent = ask((Login.NONE, ""), kind="websocket", **headers)
+    assert reached is admitted
+    assert admitted or sent == [{"type": "websocket.close", "code": 1008}]
+
+
+@pytest.mark.parametrize("kind", ["text/html; charset=utf-8", "application/json"])
+@pytest.mark.parametrize("cookie", ["", f"{DEVICE}=ana", f"{DEVICE}=a b"])
+def test_a_page_gives_a_browser_a_name_of_its_own_once(kind: str, cookie: str) -> None:
+    sent = list[dict[str, Any]]()
+
+    async def app(_scope: object, _receive: object, send: Any) -> None:
+        headers = [(b"content-type", kind.encode())]
+        await send({"type": "http.response.start", "status": 200, "headers": headers})
+
+    async def send(message: dict[str, Any]) -> None:
+        sent.append(message)
+
+    headers = [(b"host", b"localhost"), (b"cookie", cookie.encode())]
+    scope = {"type": "http", "path": "/", "method": "GET", "query_string": b"", "headers": headers}
+    for _ in range(2):
+        asyncio.run(AccessGuard(app)(scope, app, send))
+    named = [dict(message["headers"]).get(b"set-cookie", b"").decode() for message in sent]
+    if kind == "application/json" or cookie == f"{DEVICE}=ana":
+        assert named == ["", ""]
+    else:
+        first, second = (words.split(";")[0].removeprefix(f"{DEVICE}=") for words in named)
+        assert first != second
+        assert device_of({DEVICE: first}) == first
+        assert "HttpOnly" in named[0]
+
+
+def test_the_link_sets_a_cookie_that_admits() -> None:
+    guard = Login.TOKEN, TOKEN
+    reached, sent = ask(guard, "/capture", query=f"token={TOKEN}&row=3", host="house:8501")
+    assert not reached
+    answer = {name.decode(): value.decode() for name, value in sent[0]["headers"]}
+    assert (sent[0]["status"], answer["location"]) == (303, "/capture?row=3")
+    assert "HttpOnly" in answer["set-cookie"]
+    assert TOKEN not in answer["set-cookie"]  # other ports of the host are sent it, too
+    assert "Secure" not in answer["set-cookie"]
+    cookie = answer["set-cookie"].split(";")[0]
+    assert ask(guard, "/capture", host="house:8501", cookie=f"other=1; {cookie}")[0]
+    assert ask(guard, "/_stcore/stream", kind="websocket", cookie=cookie)[0]
+
+
+@pytest.mark.parametrize("proto", ["", "http", "https", "https, http"])
+def test_behind_https_the_cookie_is_sent_by_no_other_way(proto: str) -> None:
+    told = {"x-forwarded-proto": proto} if proto else {}
+    _, sent = ask((Login.TOKEN, TOKEN), "/", query=f"token={TOKEN}", host="house", **told)
+    cookie = dict(sent[0]["headers"])[b"set-cookie"].decode()
+    assert ("Secure" in cookie) == proto.startswith("https")
+
+
+LOGINS = [(Login.NONE, ""), (Login.TOKEN, TOKEN)]
+BROKEN = [
+    "[",
+    "[::1",
+    "::1]",
+    "[::1]x",
+    "a b",
+    "a/b",
+    "eve@house",
+    "house:x",
+    "house:70000",
+    "a:b:1",
+]
+
+
+@pytest.mark.parametrize("login", LOGINS)
+@pytest.mark.parametrize("value", BROKEN)
+def test_a_malformed_host_or_origin_is_refused_by_name_before_any_login(
+    login: tuple[Login, str], value: str
+) -> None:
+    for headers in ({"host": value}, {"host": "localhost", "origin": f"http://{value}"}):
+        for path in ("/", "/api/press", "/_stcore/stream", "/capture"):
+            reached, sent = ask(login, path, **headers)
+            assert not reached
+            assert sent[0]["status"] == 400
+            assert sent[1]["body"].startswith(b"RequestError: the header ")
+            reached, sent = ask(login, path, kind="websocket", **headers)
+            assert not reached
+            assert sent == [{"type": "websocket.close", "code": 1008}]
+            can_say = "websocket.http.response"
+            reached, sent = ask(login, path, kind="websocket", extension=can_say, **headers)
+            assert not reached
+            assert sent[0]["type"] == "websocket.http.response.start"
+            assert sent[0]["status"] == 400
+
+
+@pytest.mark.parametrize("login", LOGINS)
+@pytest.mark.parametrize("path", ["/", "/api/walk", "/_stcore/stream", "/capture/capture.js"])
+def test_every_route_and_socket_refuses_pages_of_another_port(
+    login: tuple[Login, str], path: str
+) -> None:
+    here = {"host": "localhost:8501", "cookie": f"{COOKIE}={cookie_of(TOKEN)}"}
+    for kind in ("http", "websocket"):
+        assert ask(login, path, kind=kind, **here)[0]
+        assert ask(login, path, kind=kind, origin="http://LOCALHOST:8501", **here)[0]
+        assert not ask(login, path, kind=kind, origin="http://localhost:9000", **here)[0]
+        assert not ask(login, path, kind=kind, **here, **{"sec-fetch-site": "same-site"})[0]
+    link = {"sec-fetch-site": "cross-site", "sec-fetch-mode": "navigate"}
+    assert ask(login, path, **here, **link, **{"sec-fetch-dest": "document"})[0]
+    assert not ask(login, path, **here, **link, **{"sec-fetch-dest": "iframe"})[0]
+
+
+@pytest.mark.parametrize("path", ["/", "/_stcore/health", "/_stcore/upload_file/eve/1"])
+@pytest.mark.parametrize("cookie", ["", f"{COOKIE}=wrong", f"{COOKIE}=", "=;"])
+def test_without_the_token_nothing_is_answered(path: str, cookie: str) -> None:
+    reached, sent = ask((Login.TOKEN, TOKEN), path, cookie=cookie, query="token=wrong")
+    assert not reached
+    assert sent[0]["status"] == 403
+    assert not ask((Login.TOKEN, TOKEN), path, kind="websocket", query=f"token={TOKEN}")[0]
+    assert not ask((Login.TOKEN, ""), path, cookie=f"{COOKIE}=", query="token=")[0]
+
+
+def test_the_token_leads_to_no_other_site() -> None:
+    _, sent = ask((Login.TOKEN, TOKEN), "//evil.example/x", query=f"token={TOKEN}")
+    assert dict(sent[0]["headers"])[b"location"] == b"/evil.example/x"
+
+
+@pytest.mark.parametrize(
+    ("login", "authorization", "viewer"),
+    [
+        ((Login.TOKEN, TOKEN), f"Bearer {TOKEN}", "anna@example.org"),
+        ((Login.TOKEN, TOKEN), f"bearer  {TOKEN}", "anna@example.org"),
+        ((Login.TOKEN, TOKEN), "", None),  # admitted by the cookie: it may not say who it is
+        ((Login.NONE, ""), "", None),
+        ((Login.NONE, ""), "Bearer ", None),
+    ],
+)
+def test_only_a_proxy_that_sends_the_token_says_who_the_viewer_is(
+    login: tuple[Login, str], authorization: str, viewer: str | None
+) -> None:
+    scopes = list[dict[str, Any]]()
+
+    async def app(scope: dict[str, Any], _receive: object, _send: object) -> None:
+        scopes.append(scope)
+
+    headers = {"host": "localhost", "cookie": f"{COOKIE}={cookie_of(TOKEN)}"}
+    headers |= {"authorization": authorization, VIEWER: "anna@example.org"}
+    for kind in ("http", "websocket"):
+        scope: dict[str, Any] = {"type": kind, "path": "/", "method": "GET", "query_string": b""}
+        scope["headers"] = [(name.encode(), value.encode()) for name, value in headers.items()]
+        asyncio.run(AccessGuard(app, *login)(scope, AsyncMock(), AsyncMock()))
+    for scope in scopes:
+        assert scope.get("viewer") == viewer
+        assert dict(scope["headers"]).get(VIEWER.encode(), b"").decode() == (viewer or "")
+    assert len(scopes) == 2
+
+
+@pytest.mark.parametrize("authorization", ["", "Bearer", "Bearer wrong", f"Basic {TOKEN}", TOKEN])
+def test_a_proxy_with_another_token_is_refused(authorization: str) -> None:
+    named = {"authorization": authorization, VIEWER: "anna@example.org"}
+    assert not ask((Login.TOKEN, TOKEN), "/", host="house", **named)[0]
+    assert not ask((Login.TOKEN, ""), "/", host="house", **named)[0]
+
+
+def test_a_page_of_another_site_sends_nothing_and_frames_nothing() -> None:
+    guard, cookie = (Login.TOKEN, TOKEN), f"{COOKIE}={cookie_of(TOKEN)}"
+    here = {"host": "house:8501", "cookie": cookie}
+    for kind in ("http", "websocket"):
+        assert ask(guard, "/api/press", kind=kind, origin="http://house:8501", **here)[0]
+        assert not ask(guard, "/api/press", kind=kind, origin="http://evil.example", **here)[0]
+    _, sent = ask(guard, "/", host="house:8501")
+    assert (b"x-frame-options", b"SAMEORIGIN") in sent[0]["headers"]
+    assert (b"x-content-type-options", b"nosniff") in sent[0]["headers"]
+
+
+@pytest.mark.parametrize("login", LOGINS)
+def test_routes_of_streamlit_s_that_no_page_needs_are_closed(login: tuple[Login, str]) -> None:
+    cookie = f"{COOKIE}={cookie_of(TOKEN)}"
+    for path in ("metrics", "agent/openapi.json", "upload_file/eve/1"):
+        for base in ("", "/house"):
+            asked = ask(login, f"{base}/_stcore/{path}", host="localhost", cookie=cookie)
+            assert not asked[0]
+    assert ask(login, "/_stcore/health", host="localhost", cookie=cookie)[0]

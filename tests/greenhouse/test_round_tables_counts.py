@@ -1,0 +1,266 @@
+"""The numbers of one day are the same on all pages, in all files and commands.
+
+Two rows with fruit that are decided, undecided, seen in part, not measured, picked, deleted and
+added by hand; and pictures of no row. Every number is known beforehand.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+import time
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("streamlit")
+
+from streamlit.testing.v1 import AppTest
+from tests.greenhouse.pages.app_pages import tables
+from typer.testing import CliRunner
+
+from cucumbervision.agronomy.profiles import load_profile
+from cucumbervision.cli.app import app as command
+from cucumbervision.measurement.result import Length, LengthDefinition
+from cucumbervision_greenhouse.exports import ExportFormat
+from cucumbervision_greenhouse.exports.build import RoundTables, round_tables
+from cucumbervision_greenhouse.exports.writers import write_exports
+from cucumbervision_greenhouse.rounds.merge_and_link import merge_round
+from cucumbervision_greenhouse.store.records import DetectionRecord, Round, StopRecord, key_of
+from cucumbervision_greenhouse.store.repository import Store
+from cucumbervision_greenhouse.store.views import Verdict
+
+pytestmark = pytest.mark.usefixtures("fresh_caches")
+
+WALK = key_of("walk")
+KIND = LengthDefinition.CENTRELINE
+DAY = Round(key_of("counts"), "counts", "house 1", time.time() - 600, "long-cucumber")
+HANGS = {"class I": 4, "class II": 2, "too short": 1, "too long": 1, "undecided": 4}
+HANGS["not measured"] = 1
+MAY_BE_READY = 3  # of the undecided; the fourth is class II or too short
+
+# By row: lengths in cm with the half width of their interval.
+ROWS: dict[str, list[tuple[float, float]]] = {
+    "1": [(28.0, 0.5), (30.0, 0.5), (24.9, 0.5), (22.0, 0.5), (15.0, 0.5), (36.5, 0.5)],
+    "2": [(27.0, 0.5), (29.0, 0.5), (25.1, 0.5), (20.2, 0.5), (23.0, 0.5), (31.0, 0.5)],
+}
+PICKED, DELETED, ADDED = 31.0, 30.5, 33.0  # cm
+
+
+def length_of(value_cm: float, half_cm: float) -> Length:
+    ends = (value_cm - half_cm) / 100, (value_cm + half_cm) / 100
+    return Length(value_cm / 100, KIND, *ends, KIND)
+
+
+def stop_of(store: Store, row: str | None, number: int, fruit: list[DetectionRecord]) -> StopRecord:
+    """A stop of the bundled captures with other fruit."""
+    template = store.stop(store.stops(WALK)[0].key)
+    like = template.captures[0].fruit[0]
+    shown = tuple(
+        replace(
+            like,
+            number=k,
+            length=one.length,
+            flags=one.flags,
+            inner_arc_m=0.002,
+            chord_m=0.2,
+            volume_m3=4e-4,
+            centreline_m=one.length_m,
+            hidden_share=0.0,
+            offset_m=0.0,
+            offset_sd_m=0.005,
+            methods=(),
+        )
+        for k, one in enumerate(fruit, 1)
+    )
+    return replace(
+        template,
+        key=key_of("counts", row, number),
+        round_key=DAY.key,
+        row=row,
+        side="left",
+        position_m=None if row is None else 2.0 * number,
+        step=number + 1,
+        taken_s=DAY.started_s + number,
+        captures=(replace(template.captures[0], fruit=shown),),
+    )
+
+
+def save_row(store: Store, row: str) -> None:
+    for number, (value_cm, half_cm) in enumerate(ROWS[row]):
+        fruit = [DetectionRecord(1, length=length_of(value_cm, half_cm))]
+        store.save_stop(stop_of(store, row, number, fruit))
+
+
+@pytest.fixture
+def day(store: Store) -> str:
+    """The round, with one fruit more of each kind that counts otherwise in row 2."""
+    store.save_round(DAY)
+    for row in ROWS:
+        save_row(store, row)
+    part = DetectionRecord(1, length=length_of(26.0, 3.0), flags="end-hidden")
+    others = [part, DetectionRecord(1), DetectionRecord(1, length=length_of(DELETED, 0.5))]
+    others.append(DetectionRecord(1, length=length_of(ADDED, 0.5)))
+    for number, one in enumerate(others, 10):
+        store.save_stop(stop_of(store, "2", number, [one]))
+    merge_round(store, DAY.key)
+    by_cm = {round(100 * (x.record.length_m or 0), 1): x.key for x in store.detections(DAY.key)}
+    store.set_verdict([by_cm[DELETED]], Verdict.REJECTED)
+    store.pick([by_cm[PICKED]])
+    # One that somebody added, and that looks like none.
+    stop = store.stop(key_of("counts", "2", 13))
+    found = replace(stop.captures[0].fruit[0], number=2, flags="doubtful")
+    store.add_fruit(stop.key, stop.captures[0].name, found)
+    store.set_verdict([by_cm[ADDED]], Verdict.REJECTED)
+    return DAY.key
+
+
+def page(name: str, round_key: str = DAY.key, **opened: str) -> AppTest:
+    script = f"from cucumbervision_greenhouse.pages import {name}\n{name}.page()\n"
+    test = AppTest.from_string(script, default_timeout=600)
+    for key, value in {"round": round_key, **opened}.items():
+        test.session_state[key] = value
+    test.run()
+    assert not test.exception
+    return test
+
+
+def said(test: AppTest) -> str:
+    parts = (*test.markdown, *test.caption, *test.info)
+    return " ".join(str(part.value) for part in parts).replace("\\", "")
+
+
+def lists_of(test: AppTest) -> list[dict[str, Any]]:
+    drawn = [x for x in test.get("bidi_component") if "fruitlist" in x.proto.component_name]
+    return [json.loads(one.proto.json) for one in drawn]
+
+
+def tables_of(store: Store) -> RoundTables:
+    return round_tables(store, DAY.key, load_profile("long-cucumber"), pictures=False)
+
+
+def of_today(tables: RoundTables, scope: str) -> Counter[str]:
+    """Fruit by class, of the forecast's first day."""
+    found: Counter[str] = Counter()
+    for line in tables["forecast"].rows:
+        if line["day"] == 0 and line["scope"] == scope:
+            expected = float(str(line["expected"]))
+            assert expected == int(expected)
+            found[str(line["class"])] += int(expected)
+    return found
+
+
+def test_every_page_says_the_same_numbers(store: Store, day: str) -> None:
+    results = page("results")
+    line = ", ".join(f"{count} {name}" for name, count in sorted(HANGS.items()))
+    assert f"**{line}**" in said(results)
+    shown = {metric.label: str(metric.value) for metric in results.metric}
+    hanging = sum(HANGS.values())
+    # The doubtful fruit that was added is shown, and counts in no class until someone accepts it.
+    assert (shown["Picked"], shown["Deleted"]) == ("1", "2")
+    assert shown["Fruit"] == str(hanging + 2)
+    whole = [x for row in ROWS.values() for x, _ in row if x != PICKED]
+    assert shown["Mean length"] == f"{sum(whole) / len(whole):.1f} cm"
+
+    today = page("today")
+    shown = {metric.label: str(metric.value) for metric in today.metric}
+    assert shown == {
+        "Ready today": str(HANGS["class I"]),
+        "class I": str(HANGS["class I"]),
+        "May be ready": str(MAY_BE_READY),
+        "Too long": str(HANGS["too long"]),
+    }
+    assert "4 fruit are left in the list below. 3 more may be ready" in said(today)
+    by_row = tables(today)[0]
+    assert [line["class I"] for line in by_row] == ["2", "2"]
+    assert [line["May be ready"] for line in by_row] == ["1", "2"]
+
+    forecast = page("forecast")
+    first = tables(forecast)[0][0]
+    for name in ("class I", "class II", "too long"):
+        assert first[name].split(" ")[0] == str(HANGS[name])
+    assert f"Today {HANGS['undecided']} undecided fruit are in no class" in said(forecast)
+    work = tables(page("forecast", forecast_tabs="Work and crates"))[-1][0]
+    assert work["Fruit"] == first["class I"].removesuffix(" or more")
+
+    words = said(page("row_map"))
+    assert "**Row 1**: 6 fruit found" in words
+    assert "**Row 2**: 9 fruit found" in words
+    assert "probably" not in f"{words} {said(results)} {said(today)}".lower().replace(
+        "probably no", ""
+    )
+
+
+def test_every_file_says_the_same_numbers(store: Store, day: str, tmp_path: Path) -> None:
+    tables = tables_of(store)
+    summary = tables.summary
+    ready = (summary["ready_today"], summary["may_be_ready"], summary["picked"])
+    assert ready == (HANGS["class I"], MAY_BE_READY, 1)
+    in_rows = sum(int(str(line["fruit"])) for line in tables["rows"].rows)
+    assert summary["fruit"] == sum(HANGS.values()) + 2 == in_rows
+    classes = {name.removeprefix("class "): count for name, count in HANGS.items()}
+    named = {name: classes[name] for name in ("I", "II", "too short", "too long")}
+    assert of_today(tables, "house") == of_today(tables, "row") == named
+    work = tables["work"].rows[0]
+    assert (work["fruit"], work["crates"]) == (HANGS["class I"], 1)
+    counted = [
+        str(line["grade"])
+        for line in tables["fruit"].rows
+        if line["picked_utc"] is None and "doubtful" not in str(line["flags"])
+    ]
+    assert Counter(counted) == classes
+    kinds = Counter(str(line["kind"]) for line in tables["picks"].rows)
+    assert kinds == {"ready": 4, "may be ready": 3, "too long": 1}
+    assert sum(count for *_, count in tables.bins) == 11
+    everything = " ".join(str(x) for table in tables.tables.values() for x in table.rows)
+    for word in ("out of grade", "out-of-grade", "borderline", "class unsure"):
+        assert word not in everything
+
+    write_exports(tables, tmp_path, [ExportFormat.CSV, ExportFormat.JSON, ExportFormat.HTML])
+    with (tmp_path / "picks.csv").open(encoding="utf-8") as file:
+        assert Counter(line["kind"] for line in csv.DictReader(file)) == kinds
+    written = json.loads((tmp_path / "round.json").read_text())["tables"]["summary"][0]
+    assert written["ready_today"] == HANGS["class I"]
+    html = (tmp_path / "round.html").read_text()
+    assert "ready: 4, may be ready: 3, too long: 1." in re.sub(r"\s+", " ", html)
+    assert "undecided (only part of it is seen)" in html
+    assert "at least 26.0 cm" in html
+    assert html.count("≥ 26.0</td>") == 2  # among those that may be ready, and among all
+    assert "23.0–29.0" not in html
+
+
+def test_the_command_says_the_same_words(store: Store, day: str) -> None:
+    shown = CliRunner().invoke(command, ["round", "show", "--store", store.name, "--round", day])
+    assert shown.exit_code == 0, shown.output
+    text = re.sub(r"\s+", " ", shown.output)
+    assert "15 fruit, lengths in cm" in text
+    assert text.count("class I ") >= 4
+    assert "≥ 26.0" in text
+    assert "out of grade" not in text
+
+
+def test_stops_of_another_row_change_nothing_in_a_row(store: Store) -> None:
+    """What is drawn to forecast depends on all fruit; what is ready does not."""
+    store.save_round(DAY)
+    save_row(store, "2")
+    merge_round(store, DAY.key)
+
+    def listed() -> list[tuple[str, str]]:
+        lines = tables_of(store)["picks"].rows
+        return [(str(x["key"]), str(x["kind"])) for x in lines if x["row"] == "2"]
+
+    before = sorted(listed())
+    assert Counter(kind for _, kind in before) == {"ready": 3, "may be ready": 1}
+    save_row(store, "1")
+    merge_round(store, DAY.key)
+    assert sorted(listed()) == before
+
+
+def test_one_fruit_is_one(store: Store) -> None:
+    store.save_round(DAY)
+    store.save_stop(stop_of(store, "1", 0, [DetectionRecord(1, length=length_of(28.0, 0.5))]))
+    assert "1 fruit is left in the list below." in said(page("today"))

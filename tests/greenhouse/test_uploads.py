@@ -1,0 +1,222 @@
+from __future__ import annotations
+
+import errno
+import io
+import json
+import math
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from cucumbervision.capture.source import ReadOptions, example_captures
+from cucumbervision.errors import (
+    CucumberVisionError,
+    DiskFullError,
+    StoreAwayError,
+    UploadError,
+)
+from cucumbervision.perception.registry import load_registry
+from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision_greenhouse.jobs import Job
+from cucumbervision_greenhouse.measuring import SharedMeasurer, measure_waiting
+from cucumbervision_greenhouse.rounds.demonstration import DEMONSTRATION
+from cucumbervision_greenhouse.store.records import Round, key_of
+from cucumbervision_greenhouse.store.repository import Store
+from cucumbervision_greenhouse.store.waiting import WaitingCaptures
+from cucumbervision_greenhouse.uploads import (
+    CAMERAS,
+    Sending,
+    SentFile,
+    SentPlace,
+    UploadOutcome,
+    Uploads,
+)
+
+ROUND = key_of("uploads")
+FILES = Sending(round=ROUND, files=(SentFile(name="a.zip", size=6), SentFile(name="b", size=0)))
+
+
+def test_a_file_goes_on_where_it_ended_after_a_reload_and_a_restart(tmp_path: Path) -> None:
+    uploads = Uploads(tmp_path / "up")
+    assert uploads.begin(FILES, 10) == [0, 0]
+    assert uploads.append(FILES.key, 0, 0, b"abc") == 3
+    assert uploads.append(FILES.key, 0, 0, b"abc") == 3  # sent again: it is there
+    assert uploads.append(FILES.key, 0, 5, b"f") == 3  # sent too early: not taken
+    assert not uploads.is_whole(FILES.key)
+    again = Uploads(tmp_path / "up")
+    assert again.begin(FILES, 10) == [3, 0]
+    assert again.whole() == []
+    assert again.append(FILES.key, 0, 3, b"def") == 6
+    assert again.whole() == [FILES.key]
+    assert again._part(FILES.key, 0).read_bytes() == b"abcdef"
+
+
+@pytest.mark.parametrize("damaged", [b"\xff", b"{", b"{}", b"[" * 100_000])
+def test_a_damaged_upload_does_not_hold_up_the_others(damaged: bytes, tmp_path: Path) -> None:
+    uploads = Uploads(tmp_path)
+    other = FILES.model_copy(update={"camera": "x", "files": FILES.files[:1]})
+    for sending in (FILES, other):
+        uploads.begin(sending, 10)
+    (tmp_path / FILES.key / "upload.json").write_bytes(damaged)
+    assert [upload.sending for upload in uploads.all()] == [other]
+    assert uploads.read(FILES.key) is None
+
+
+def test_what_cannot_be_announced_leaves_no_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for odd in (math.nan, math.inf):
+        with pytest.raises(ValidationError):
+            SentFile(name="a.zip", size=6, changed=odd)
+
+    def is_full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("cucumbervision_greenhouse.uploads.replace_text", is_full)
+    with pytest.raises(OSError, match="No space"):
+        Uploads(tmp_path / "up").begin(FILES, 10)
+    assert Uploads(tmp_path / "up").all() == []
+
+
+def test_a_file_is_named_with_its_folders() -> None:
+    path = "house 7/" * 50 + "a.png"  # 405 characters, as a browser names the files of a folder
+    assert SentFile(name=path, size=1).name == path
+    with pytest.raises(ValidationError):
+        SentFile(name="x" * 501, size=1)
+
+
+def test_what_is_too_large_is_refused_before_it_is_sent(tmp_path: Path) -> None:
+    uploads = Uploads(tmp_path / "up")
+    with pytest.raises(UploadError, match="more than the 0 MB that are taken"):
+        uploads.begin(FILES, 5)
+    assert uploads.all() == []
+    huge = Sending(round=ROUND, files=(SentFile(name="a.zip", size=10**18),))
+    with pytest.raises(UploadError, match="the disk has room for"):
+        uploads.begin(huge, 10**19)
+    uploads.begin(FILES, 10)
+    with pytest.raises(UploadError, match=r"a\.zip: is larger than it was"):
+        uploads.append(FILES.key, 0, 0, b"seven b")
+    for key, number in ((FILES.key, 2), (FILES.key, -1), (key_of("other"), 0)):
+        with pytest.raises(UploadError, match="choose the files again"):
+            uploads.append(key, number, 0, b"")
+
+
+PLACE = SentPlace(row="7", side="right", position_m=3.0, step_m=0.5, back=True)
+Send = Callable[..., tuple[UploadOutcome, ...]]
+
+
+@pytest.fixture
+def waiting(tmp_path: Path) -> WaitingCaptures:
+    return WaitingCaptures(tmp_path / "waiting")
+
+
+@pytest.fixture
+def send(store: Store, waiting: WaitingCaptures, tmp_path: Path) -> Send:
+    """Send files into the round, and return their outcomes."""
+    store.save_round(Round(ROUND))
+    uploads = Uploads(tmp_path / "uploads")
+
+    def sent(files: list[tuple[str, io.BytesIO]], camera: str = "") -> tuple[UploadOutcome, ...]:
+        listed = tuple(SentFile(name=name, size=len(f.getvalue())) for name, f in files)
+        sending = Sending(round=ROUND, files=listed, place=PLACE, camera=camera)
+        if sending.key not in uploads.whole():
+            uploads.begin(sending, 10**9)
+        for number, (_, content) in enumerate(files):
+            uploads.append(sending.key, number, 0, content.getvalue())
+        assert uploads.whole() == [sending.key]
+        uploads.queue(sending.key, waiting, store, ReadOptions())
+        assert uploads.whole() == []
+        return uploads.all()[0].outcomes
+
+    return sent
+
+
+def pair(number: int) -> list[tuple[str, io.BytesIO]]:
+    """Return a colour and a depth picture without intrinsics: a wall at 0.6 m."""
+    return [
+        (
+            f"{part}_{number}.png",
+            io.BytesIO(cv2.imencode(".png", np.full((48, 64), value, dtype))[1].tobytes()),
+        )
+        for part, value, dtype in (("color", 200 + number, np.uint8), ("depth", 600, np.uint16))
+    ]
+
+
+def packed() -> io.BytesIO:
+    """Return a zip of two drawn captures without a position of their own."""
+    file, folder = io.BytesIO(), example_captures() / "simulated-row-a"
+    with zipfile.ZipFile(file, "w") as archive:
+        for name in ("a", "b"):
+            for path in sorted(p for p in folder.rglob("*") if p.is_file()):
+                data = path.read_bytes()
+                if path.name == "capture.json":
+                    manifest = json.loads(data)
+                    manifest["stop"] = {}
+                    data = json.dumps(manifest).encode()
+                archive.writestr(f"{name}/{path.relative_to(folder)}", data)
+    file.seek(0)
+    return file
+
+
+def measure(store: Store, waiting: WaitingCaptures) -> None:
+    options, measurer = MeasureOptions(instances="dataset"), SharedMeasurer(load_registry())
+    job = Job(1, "measuring")
+    measure_waiting(waiting, measurer, store, lambda: options, lambda _: "", job)
+
+
+def test_one_bad_file_costs_only_itself_and_each_is_told_by_its_name(
+    store: Store, waiting: WaitingCaptures, send: Send
+) -> None:
+    files = [("odd.png", io.BytesIO(b"MZ")), *pair(1), ("row.zip", packed())]
+    told = send(files)
+    assert sum(one.saved for one in told) == 2
+    lost = [one for one in told if not one.saved]
+    assert [one.name for one in lost] == ["odd.png", "upload"]
+    assert "has no matching picture" in lost[0].words
+    assert "intrinsics" in lost[1].words
+    again = [("is in the round already", False)] * 2
+    assert [(one.words, one.saved) for one in send([("row.zip", packed())])] == again
+    measure(store, waiting)
+    # Drawn: in the demonstration, from the given place on, backwards.
+    assert store.stops(ROUND) == []
+    places = [(s.row, s.side, s.position_m, s.step) for s in store.stops(DEMONSTRATION)]
+    assert places == [("7", "right", 3.0, 1), ("7", "right", 2.5, 2)]
+    assert [(one.words, one.saved) for one in send([("row.zip", packed())])] == again
+    store.delete_stop(store.stops(DEMONSTRATION)[0].key)
+    assert [one.words for one in send([("row.zip", packed())])] == [
+        "was deleted: undo that to have it back",
+        "is in the round already",
+    ]
+
+
+def test_one_camera_takes_a_place_once(store: Store, waiting: WaitingCaptures, send: Send) -> None:
+    camera = next(iter(CAMERAS))
+    (told,) = send(pair(1), camera=camera)
+    assert (told.saved, told.words) == (True, "saved (row 7, right, 3.00 m)")
+    (told,) = send(pair(2), camera=camera)
+    assert not told.saved
+    measure(store, waiting)
+    (told,) = send(pair(3), camera=camera)
+    assert "stop 1 is at 3.00 m of that row and side" in told.words
+    (stop,) = store.stops(ROUND)
+    # A camera's usual figures stand for intrinsics that are missing.
+    assert store.stop(stop.key).captures[0].camera["fx"] == pytest.approx(CAMERAS[camera] * 48)
+
+
+@pytest.mark.parametrize("error", [DiskFullError("no space left"), StoreAwayError("is locked")])
+def test_files_stay_while_the_disk_is_full_or_the_store_away(
+    error: CucumberVisionError, send: Send, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise error
+
+    with monkeypatch.context() as patch:
+        patch.setattr(WaitingCaptures, "put", fail)
+        with pytest.raises(type(error)):
+            send([("row.zip", packed())])
+    assert [outcome.saved for outcome in send([("row.zip", packed())])] == [True, True]

@@ -230,9 +230,7 @@ def _draw_scene(
     rng = np.random.default_rng([demo.seed, 1])
     sharpest = int(rng.integers(frames))
     colors = [
-        expose(
-            light, _STILL if k == sharpest else replace(_STILL, motion_px=2.0), rng, view.depth_m
-        )
+        expose(light, _STILL if k == sharpest else replace(_STILL, motion_px=2.0), rng)
         for k in range(frames)
     ]
     depths_m = sense(scene, D4xx.like(CAMERA), rng, frames)

@@ -341,7 +341,7 @@ def paint_scene(scene: Scene, view: View, rng: np.random.Generator) -> NDArray[n
     """Return the colour picture of a scene, (H, W, 3), with random light and appearance."""
     style = random_style(rng, scene, Assets(), "hanging")
     light = shade(scene, view, CAMERA, style, Assets(), rng)
-    return expose(light, Exposure(), rng, view.depth_m)
+    return expose(light, Exposure(), rng)
 
 
 def _sensor(case: Case) -> D4xx:

@@ -39,6 +39,8 @@ _LENGTHS_M = {
     Variety.MINI: (0.12, 0.18),
     Variety.SMALL: (0.06, 0.12),
 }
+# Of fruit that are bent to a bow; of scenes with a petiole, a stem or a pipe across a fruit.
+_BOW_SHARE, _PETIOLE_SHARE, _STEM_SHARE, _PIPE_SHARE = 0.1, 0.25, 0.25, 0.1
 # Frequency of each variety, and its distance range: small fruit are viewed from nearby.
 _SHARES = {Variety.LONG: 0.42, Variety.MEDIUM: 0.28, Variety.MINI: 0.2, Variety.SMALL: 0.1}
 _REACH_M = {
@@ -176,7 +178,9 @@ def _count(rng: np.random.Generator, setting: Setting, difficulty: Difficulty) -
 
 
 def _random_of_variety(rng: np.random.Generator, variety: Variety) -> Tube:
-    return random_fruit(rng, float(rng.uniform(*_LENGTHS_M[variety])), variety, balls=400)
+    length_m = float(rng.uniform(*_LENGTHS_M[variety]))
+    bend_m = length_m * float(rng.uniform(0.4, 0.9)) if rng.random() < _BOW_SHARE else None
+    return random_fruit(rng, length_m, variety, bend_radius_m=bend_m, balls=400)
 
 
 def _compose_hanging(
@@ -206,15 +210,17 @@ def _compose_hanging(
                 leaf_roles.append("leaf")
     before = _loose_leaves(rng, camera, distance_m, difficulty.leaves, close=not placed)
     leaf_roles += ["leaf"] * len(before)
+    crossing = _crossing(rng, placed[int(rng.integers(len(placed)))]) if placed else ()
     ends = [_end_details(rng, fruit) for fruit in placed]
     petals = tuple(leaf for end in ends for leaf in end[0])
     rods = tuple(rod for end in ends for rod, _ in end[1])
     stem_roles += [role for end in ends for _, role in end[1]]
+    stem_roles += ["string" if rod.radius_m > 0.01 else "stem" for rod in crossing]
     strings = _strings_before(rng, distance_m)
     scene = replace(
         scene,
         leaves=(*scene.leaves, *before, *petals),
-        stems=(*scene.stems, *rods, *strings),
+        stems=(*scene.stems, *rods, *crossing, *strings),
     )
     scene, up = _tilt_view(rng, scene)
     return Composition(
@@ -287,6 +293,24 @@ def _strings_before(rng: np.random.Generator, distance_m: float) -> tuple[Stem, 
     )
 
 
+def _crossing(rng: np.random.Generator, fruit: Tube) -> tuple[Stem, ...]:
+    """Return a petiole before a fruit, a stem and a pipe behind it, each or none of them."""
+    middle = fruit.centres_m[int(rng.uniform(0.15, 0.85) * len(fruit.centres_m))]
+    radius_m = float(fruit.radii_m.max())
+    rods = []
+    for share, off_m, thick_m, half_m, turn in (
+        (_PETIOLE_SHARE, -radius_m - rng.uniform(0.01, 0.05), rng.uniform(0.002, 0.004), 0.15, 60),
+        (_STEM_SHARE, radius_m + rng.uniform(0.01, 0.06), rng.uniform(0.004, 0.007), 0.6, 15),
+        (_PIPE_SHARE, radius_m + rng.uniform(0.06, 0.2), rng.uniform(0.02, 0.03), 1.5, 0),
+    ):
+        angle = np.deg2rad(rng.normal(0, 5) if turn == 0 else rng.normal(90, turn))
+        along = np.array([np.cos(angle), np.sin(angle), rng.normal(0, 0.1)])
+        place = middle * (1 + off_m / middle[2]) + rng.normal(0, 0.5 * radius_m, 3) * (1, 1, 0)
+        if rng.random() < share and place[2] - 0.2 * half_m > NEAREST_M:
+            rods.append(Stem(np.stack([place - half_m * along, place + half_m * along]), thick_m))
+    return tuple(rods)
+
+
 def _end_details(
     rng: np.random.Generator, fruit: Tube
 ) -> tuple[tuple[Leaf, ...], tuple[tuple[Stem, str], ...]]:
@@ -319,13 +343,13 @@ def _stalk(
     out = pole - inner
     out /= np.linalg.norm(out)
     aside = rng.normal(0, 0.5, 3)
-    length = rng.uniform(0.012, 0.06)
+    length = rng.uniform(0.01, 0.02) if rng.random() < 0.5 else rng.uniform(0.02, 0.06)
     line = [
         pole - 0.003 * out,
         pole + 0.4 * length * out + 0.1 * length * aside,
         pole + length * out + 0.45 * length * aside,
     ]
-    return Stem(np.stack(line), radius_m * rng.uniform(0.11, 0.2))
+    return Stem(np.stack(line), radius_m * rng.uniform(0.11, 0.34))
 
 
 def _tilt_view(rng: np.random.Generator, scene: Scene) -> tuple[Scene, tuple[float, float, float]]:

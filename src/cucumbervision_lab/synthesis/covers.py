@@ -8,7 +8,7 @@ true.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -39,6 +39,7 @@ _STEM_COLORS = np.array(
 )
 _BLURS = (0.0, 0.0, 0.5, 0.8, 1.2)  # pixels
 _SHADOW_SHARE, _NO_DEPTH_SHARE = 0.6, 0.3  # shares of covers with a shadow, and without depth
+_HALF_SHARE = 0.2  # of leaves
 
 
 class CoverKind(StrEnum):
@@ -164,6 +165,8 @@ def _leaf(
     """Return the colours and the coverage of a leaf, and the share of the axis that it covers."""
     length_px, shape = float(arc_positions(axis_px)[-1]), picture.mask.shape
     piece = pieces[int(rng.integers(len(pieces)))]
+    if rng.random() < _HALF_SHARE:  # along the midrib
+        piece = replace(piece, mask=piece.mask & (np.linspace(0, 1, piece.mask.shape[1]) < 0.5))
     light, sharpness = _light_near(picture.color, axis_px[0], radius_px), rng.choice(_BLURS)
     ahead, aside = _directions(axis_px, radius_px)
     side_px = radius_px * rng.uniform(*_LEAF_RADII)

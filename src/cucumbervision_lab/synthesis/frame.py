@@ -139,7 +139,7 @@ def draw_frame(
     linear = shade(staged.scene, view, camera, style, assets, painter)
     truth = truth_of(staged.scene, camera, view)
     exposure = random_exposure(painter, options.width)
-    color = expose(linear, exposure, painter, view.depth_m)
+    color = expose(linear, exposure, painter)
     scale = 1.0
     depth: NDArray[np.float32] | None = None
     if options.depth:

@@ -12,8 +12,8 @@ CLEAN = Exposure(blur_px=0.0, shot=0.0, read=0.0, vignette=0.0, sharpen=0.0, qua
 GREY = np.full((64, 96, 3), 0.5, np.float32)
 
 
-def take(linear: np.ndarray, exposure: Exposure, depth_m: np.ndarray | None = None) -> np.ndarray:
-    return expose(linear, exposure, np.random.default_rng(1), depth_m)
+def take(linear: np.ndarray, exposure: Exposure) -> np.ndarray:
+    return expose(linear, exposure, np.random.default_rng(1))
 
 
 def test_the_camera_sets_itself_and_a_stop_doubles_the_light() -> None:
@@ -68,17 +68,6 @@ def test_a_movement_smears_along_its_direction() -> None:
     assert moved[31].max() < 1
     turned = take(dot, replace(CLEAN, motion_px=11.0, motion_deg=90.0)).astype(float)[..., 0]
     assert np.abs(turned - turned[0, 0] - moved.T).max() <= 1
-
-
-def test_only_what_is_out_of_focus_blurs() -> None:
-    rng = np.random.default_rng(3)
-    grain = rng.uniform(0.1, 0.5, (64, 128, 1)).astype(np.float32).repeat(3, axis=2)
-    depth = np.full((64, 128), 0.5)
-    depth[:, 64:] = 1.5
-    picture = take(grain, replace(CLEAN, focus_m=0.5, aperture_px_m=2.0), depth)
-    sharp, soft = picture[:, :56], picture[:, 72:]
-    assert soft.std() < 0.4 * sharp.std()
-    assert np.array_equal(sharp, take(grain, CLEAN)[:, :56])
 
 
 def test_compression_and_sharpening_change_what_they_should() -> None:

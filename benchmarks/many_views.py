@@ -1,27 +1,25 @@
 """Errors of one, two and three views together: drawn fruit, each seen from three stops of a row.
 
-    python benchmarks/many_views.py --fruit 60 [--perceived]
+    python benchmarks/many_views.py --fruit 140 [--perceived]
 
 A fruit hangs at 0.5 to 0.9 m and tilts by 15 degrees (one standard deviation), six in ten behind
-leaves; the stops are 0.3 m apart, known to 3 cm and 1 degree. Outlines are disturbed by 1.5 px in
+leaves; the stops are 0.3 m apart. Outlines are disturbed by 1.5 px in
 each view anew, or with --perceived found and drawn by the networks in painted pictures. The best
-view is the one of the narrowest interval, 'combined' weighs the views' lengths by their intervals
-(`measurement.matching.pooled_length`), 'one tube' is `measurement.views`, and rounds take that
-unless the combined lengths contradict it. Coverage is that of the 90 % interval, depth scale known.
+view is the one of the narrowest interval, 'pooled' weighs the views' lengths by their intervals
+(`measurement.matching.pooled_length`), as rounds do. Coverage is that of the 90 % interval, depth
+scale known.
 """
 
 from __future__ import annotations
 
 import argparse
 from dataclasses import replace
-from time import process_time
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
-from scipy.spatial.transform import Rotation
 
 from cucumbervision.capture.frames import Capture, median_depth
 from cucumbervision.instances.instance import Instance, MaskSource
@@ -29,16 +27,13 @@ from cucumbervision.instances.masks import box_of_mask
 from cucumbervision.measurement.matching import pooled_length
 from cucumbervision.measurement.result import (
     INTERVAL_Z,
-    Length,
     LengthDefinition,
     MethodName,
     Selector,
 )
 from cucumbervision.measurement.selector import measure_fruit
-from cucumbervision.measurement.views import FruitView, measure_views
 from cucumbervision.pipeline.finders import make_finder
 from cucumbervision.pipeline.options import MeasureOptions
-from cucumbervision_greenhouse.rounds.row_fruit import joint_tube_is_used
 from cucumbervision_lab.benchmark.cases import CAMERA, build_scene, paint_scene, stress_cases
 from cucumbervision_lab.benchmark.measure_case import disturb_mask, draw_disturbance, found_at
 from cucumbervision_lab.synthesis.depth_camera import D4xx, sense
@@ -53,7 +48,7 @@ if TYPE_CHECKING:
     Find = Callable[[Capture], Sequence[Instance]]
 
 FIRST = 800_000
-SPACING_M, PLACE_SD_M, TURN_SD_DEG = 0.3, 0.03, 1.0
+SPACING_M = 0.3
 LEAST_PX = 200
 CENTRELINE = LengthDefinition.CENTRELINE
 
@@ -74,7 +69,7 @@ def drawn_case(number: int) -> Case:
     )
 
 
-def drawn_views(case: Case, find: Find | None) -> tuple[float, list[FruitView]]:
+def drawn_views(case: Case, find: Find | None) -> tuple[float, list[tuple[Capture, Instance]]]:
     """Return the true centreline, and the fruit from the middle stop and those beside it."""
     scene = build_scene(case)
     views = []
@@ -86,9 +81,6 @@ def drawn_views(case: Case, find: Find | None) -> tuple[float, list[FruitView]]:
         if np.count_nonzero(mask) < LEAST_PX:
             continue
         depth = median_depth(sense(moved_scene, D4xx.like(CAMERA), rng, 3))
-        pose = np.eye(4)
-        pose[:3, :3] = Rotation.from_rotvec(np.deg2rad(rng.normal(0, TURN_SD_DEG, 3))).as_matrix()
-        pose[:3, 3] = np.array([k * SPACING_M, 0.0, 0.0]) + rng.normal(0, PLACE_SD_M, 3)
         if find is None:
             mask = disturb_mask(mask, draw_disturbance(mask.shape, 1.5, rng))
             fruit = Instance(box_of_mask(mask), mask=mask, mask_source=MaskSource.DATASET)
@@ -99,7 +91,7 @@ def drawn_views(case: Case, find: Find | None) -> tuple[float, list[FruitView]]:
                 continue
             fruit, mask = instance, instance.mask
         capture = Capture(np.zeros((*mask.shape, 3), np.uint8), depth, CAMERA, "drawn")
-        views.append(FruitView(capture, fruit, pose))
+        views.append((capture, fruit))
     return scene.fruit[0].centreline_m, views
 
 
@@ -112,31 +104,18 @@ def figures(fruit: Fruit | None) -> tuple[float, float, float, bool] | None:
 
 
 def measured(number: int, find: Find | None) -> dict[str, Any]:
-    """Measure one fruit from each stop alone, and as one tube in the first two and all three."""
+    """Measure one fruit from each stop alone."""
     true_m, views = drawn_views(drawn_case(number), find)
     alone = [
-        figures(
-            measure_fruit(
-                *(view.capture, view.instance, (MethodName.M6,), Selector.BEST, CENTRELINE),
-                scale_known=True,
-            )
-        )
+        figures(measure_fruit(*view, (MethodName.M6,), Selector.BEST, CENTRELINE, scale_known=True))
         for view in views
     ]
-    good = [k for k, view in enumerate(alone) if view is not None]
-    row: dict[str, Any] = {"number": number, "true_m": true_m, "one": []}
-    row["alone"] = [alone[k] for k in good]
-    for count in range(1, len(good) + 1):
-        start = process_time()
-        joint = measure_views([views[k] for k in good[:count]], CENTRELINE, scale_known=True)
-        ms = 1e3 * (process_time() - start)
-        row["one"].append((figures(None if joint is None else joint.fruit), ms))
-    return row
+    return {"true_m": true_m, "alone": [view for view in alone if view is not None]}
 
 
 def errors_of(row: dict[str, Any]) -> dict[str, float] | None:
     """Return a fruit's errors in percent by number of views and way, and what intervals hold."""
-    if len(row["alone"]) < 3 or any(view is None for view, _ in row["one"]):
+    if len(row["alone"]) < 3:
         return None
     true_m, errors = row["true_m"], {}
     for count in (1, 2, 3):
@@ -146,20 +125,15 @@ def errors_of(row: dict[str, Any]) -> dict[str, float] | None:
         sds = np.log(upper_m / lower_m) / (2 * INTERVAL_Z)
         combined, sd_m = pooled_length(lengths, sds, np.zeros(len(views), bool)) or (0.0, 0.0)
         spread = float(np.exp(INTERVAL_Z * sd_m / combined))
-        (one_m, *ends, _), ms = row["one"][count - 1]
         best = int(np.argmin(sds))
         ways = {
             "best": (lengths[best], lower_m[best], upper_m[best]),
-            "combined": (combined, combined / spread, combined * spread),
-            "one tube": (one_m, *ends),
+            "pooled": (combined, combined / spread, combined * spread),
         }
-        stands = joint_tube_is_used(Length(one_m, low_m=ends[0], high_m=ends[1]), (combined, sd_m))
-        ways["as rounds"] = ways["one tube" if stands else "combined"]
         for way, (length, lower, upper) in ways.items():
             errors[f"{way} {count}"] = 100 * (length / true_m - 1)
             errors[f"{way} {count} covers"] = lower < true_m < upper
             errors[f"{way} {count} width"] = 100 * (upper - lower) / length
-        errors[f"ms {count}"] = ms
     return errors
 
 
@@ -181,7 +155,7 @@ def main() -> None:
         table.add_column(head, justify="right")
     for count in (1, 2, 3):
         usual = np.mean([abs(row[f"best {count}"]) for row in errors])
-        for way in ("best", "combined", "one tube", "as rounds"):
+        for way in ("best", "pooled"):
             off = np.array([row[f"{way} {count}"] for row in errors])
             size = np.abs(off)
             spread_of = (size.mean(), np.median(size), np.quantile(size, 0.9), np.median(off))
@@ -190,8 +164,6 @@ def main() -> None:
             width = np.mean([row[f"{way} {count} width"] for row in errors])
             table.add_row(str(count), way, *cells, f"{100 * covers:.0f} %", f"{width:.1f}")
     Console(width=110, highlight=False).print(table)
-    for count in (1, 2, 3):
-        print(f"{count} views: {np.median([row[f'ms {count}'] for row in errors]):.0f} ms")
 
 
 if __name__ == "__main__":

@@ -240,7 +240,7 @@ def axe_findings(seen: Visit, path: Path, sizes: tuple[str, ...]) -> int:
     from tests.greenhouse.pages.test_app_sizes import PAGES
 
     with open_store(path) as store:
-        fruit = next(view for view in store.detections(TODAY) if view.record.length_m)
+        fruit = next(view for view in store.detections(TODAY) if view.length_m)
     findings = 0
     for path_words, words in PAGES.values():
         address = path_words.format(fruit=fruit.key, stop=fruit.stop_key)

@@ -8,8 +8,8 @@ from typing import Any
 
 from figures import Figure
 
+from cucumbervision_greenhouse.store.records import DetectionFilter, Verdict
 from cucumbervision_greenhouse.store.repository import open_store
-from cucumbervision_greenhouse.store.views import DetectionFilter, Verdict
 from speeds.chromium import Visit
 
 
@@ -81,7 +81,7 @@ def add_missed_fruit(tablet: Tablet) -> None:
         stop = max(store.stops(tablet.round_key), key=lambda stop: stop.taken_s)
         view = store.detections(tablet.round_key, DetectionFilter(stop_key=stop.key))[0]
         store.set_verdict([view.key], Verdict.REJECTED)
-    record = view.record
+    record = view
     middle = (record.box_x1_px + record.box_x2_px) / 2, (record.box_y1_px + record.box_y2_px) / 2
     tablet.tap_button("Add by tap")
     picture = tablet.page.locator("#pictures svg.view").first

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -14,7 +13,7 @@ from cucumbervision.capture.frames import valid_depth
 from cucumbervision.instances.mask_codes import decode_rle
 from cucumbervision.measurement.methods import method_color
 from cucumbervision.measurement.paper_methods import window_depths
-from cucumbervision.pipeline.overlay import as_jpeg, draw_polyline, mask_outlines, path_px
+from cucumbervision.pipeline.overlay import as_jpeg, mask_outlines, path_px
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.words import label_words, length_words
 
@@ -28,11 +27,8 @@ if TYPE_CHECKING:
     from cucumbervision_greenhouse.settings import Units
     from cucumbervision_greenhouse.store.records import (
         CaptureRecord,
-        DetectionRecord,
-        JointRecord,
-        MethodRecord,
+        FruitRow,
     )
-    from cucumbervision_greenhouse.store.views import DetectionSummary
 
 CLASS_GREENS = ("#1B7837", "#5AAE61", "#A6DBA0")
 """Colours of a class, the best darkest."""
@@ -100,19 +96,15 @@ def depth_picture(depth_m: NDArray[np.float32], units: Units) -> tuple[NDArray[n
     return cast("NDArray[np.uint8]", picture), words
 
 
-def fruit_layers(
-    record: DetectionRecord, camera: Intrinsics, together: MethodRecord | None = None
-) -> list[dict[str, Any]]:
+def fruit_layers(record: FruitRow, camera: Intrinsics) -> list[dict[str, Any]]:
     """Return what was found and measured of a fruit as layers of lines, in pixels.
 
     Parameters
     ----------
-    record : DetectionRecord
+    record : FruitRow
         The fruit in its capture.
     camera : Intrinsics
         Of that capture.
-    together : MethodRecord, optional
-        The tube in all its views, in this camera's coordinates (`joint_tube`).
 
     Returns
     -------
@@ -135,90 +127,17 @@ def fruit_layers(
         visible = [(u, v) for u, v, confidence in record.keypoints if confidence > 0.25]
         dots = [{"kind": "dot", "points": [round(u, 1), round(v, 1)]} for u, v in visible]
         layers.append(layer(_("Keypoints"), _KEYPOINT_COLOR, False, dots))
-    for method in record.methods:
-        if shapes := _path_shapes(method, camera):
-            name = method.method
-            if method.diameter_m:
-                name = _("{method} axis").format(method=method.method)
-            chosen = method.method == record.method
-            layers.append(layer(name, method_color(method.method), chosen, shapes))
-    if together is not None:
-        edge = tube_outline(together, camera).round(1).reshape(-1).tolist()
-        layers.append(
-            layer(_("All views"), _JOINT_COLOR, False, [{"kind": "area", "points": edge}])
-        )
+    if shapes := _path_shapes(record, camera):
+        name = record.method
+        if record.diameter_m:
+            name = _("{method} axis").format(method=name)
+        layers.append(layer(name, method_color(record.method), True, shapes))
     return layers
-
-
-def joint_tube(joint: JointRecord, key: str) -> MethodRecord | None:
-    """Return the tube in all views of a fruit in the camera coordinates of one of them.
-
-    Parameters
-    ----------
-    joint : JointRecord
-        With path and poses, as `Store.joint_drawing` gives it.
-    key : str
-        The view's.
-
-    Returns
-    -------
-    MethodRecord or None
-        None where the tube was not fitted to that view.
-    """
-    numbers = joint.poses.get(key)
-    if numbers is None or joint.record is None or not joint.record.methods:
-        return None
-    pose, tube = np.reshape(numbers, (4, 4)), joint.record.methods[0]
-    path = np.array(tube.path_m).reshape(-1, 3) @ pose[:3, :3].T + pose[:3, 3]
-    return replace(tube, path_m=tuple(map(tuple, path.tolist())))
-
-
-def tube_outline(tube: MethodRecord, camera: Intrinsics) -> NDArray[np.float64]:
-    """Return the outline of a tube in the picture, shape (N, 2): pixels, one edge and back.
-
-    Between the path's points the square of the diameter is interpolated linearly, so that ends are
-    round.
-
-    Examples
-    --------
-    >>> from cucumbervision.capture.intrinsics import Intrinsics
-    >>> from cucumbervision_greenhouse.store.records import MethodRecord
-    >>> line = ((-0.1, 0.0, 0.5), (0.1, 0.0, 0.5))
-    >>> tube = MethodRecord("M6", path_m=line, diameter_m=(0.04, 0.04))
-    >>> edge = tube_outline(tube, Intrinsics(640, 480, 500.0, 500.0, 320.0, 240.0))
-    >>> edge.min(axis=0).round().tolist(), edge.max(axis=0).round().tolist()
-    ([220.0, 220.0], [420.0, 260.0])
-    """
-    path = np.array(tube.path_m, np.float64).reshape(-1, 3)
-    if len(path) < 2 or len(tube.diameter_m) != len(path) or (path[:, 2] <= 0).any():
-        return np.empty((0, 2))
-    index = np.arange(len(path))
-    fine = np.linspace(0, index[-1], _OUTLINE_STEPS * index[-1] + 1)
-    path = np.stack([np.interp(fine, index, values) for values in path.T], axis=1)
-    diameter_m = np.sqrt(np.interp(fine, index, np.square(tube.diameter_m)))
-    line = camera.project(path)
-    along = np.gradient(line, axis=0)
-    along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
-    half = camera.fx_px * diameter_m / 2 / path[:, 2]
-    across = np.stack([-along[:, 1], along[:, 0]], axis=1) * half[:, None]
-    return np.vstack([line + across, (line - across)[::-1]])
-
-
-def drawn_on(color: NDArray[np.uint8], tube: MethodRecord, camera: Intrinsics) -> NDArray[np.uint8]:
-    """Return a picture with a tube's outline and axis drawn on it."""
-    edge = tube_outline(tube, camera)
-    if not len(edge):
-        return color
-    axis = camera.project(np.array(tube.path_m))
-    drawn = color.copy()
-    draw_polyline(drawn, edge, _JOINT_RGB, 2, closed=True)
-    draw_polyline(drawn, axis, _JOINT_RGB, 2)
-    return drawn
 
 
 def stop_layers(
     capture: CaptureRecord,
-    fruit: Sequence[DetectionSummary],
+    fruit: Sequence[FruitRow],
     grades: Mapping[str, str],
     units: Units,
 ) -> list[dict[str, Any]]:
@@ -228,20 +147,20 @@ def stop_layers(
     ----------
     capture : CaptureRecord
         With masks, as `Store.stop` returns it.
-    fruit : sequence of DetectionSummary
+    fruit : sequence of FruitRow
         Its fruit with all corrections.
     grades : mapping of str to str
         Names of their classes, by the fruit's keys.
     """
-    masks = {fruit.number: fruit.mask for fruit in capture.fruit}
+    masks = {row.fruit: row.mask for row in capture.fruit}
     layers: dict[str, dict[str, Any]] = {}
     for view in fruit:
-        record, name = view.record, grades[view.key]
+        record, name = view, grades[view.key]
         color = class_color(name)
         shapes = layers.setdefault(
             name, {"name": label_words(name), "color": color, "on": True, "shapes": []}
         )
-        rle = record.mask or masks.get(record.number)
+        rle = view.mask or masks.get(view.fruit)
         if rle is None:
             lines = [_box_line(record)]
         else:
@@ -256,14 +175,14 @@ def stop_layers(
     return list(layers.values())
 
 
-def _box_line(record: DetectionRecord) -> dict[str, Any]:
+def _box_line(record: FruitRow) -> dict[str, Any]:
     edges = (record.box_x1_px, record.box_y1_px, record.box_x2_px, record.box_y2_px)
     x1, y1, x2, y2 = (round(edge, 1) for edge in edges)
     return {"kind": "line", "points": [x1, y1, x2, y1, x2, y2, x1, y2, x1, y1]}
 
 
-def _path_shapes(method: MethodRecord, camera: Intrinsics) -> list[dict[str, Any]]:
-    points = path_px(method.path_m, camera)
+def _path_shapes(record: FruitRow, camera: Intrinsics) -> list[dict[str, Any]]:
+    points = path_px(record.path_m, camera)
     if points is None:
         return []
     pixels = np.round(points, 1)
@@ -331,7 +250,7 @@ def ruler_m(capture: Capture, a_px: tuple[float, float], b_px: tuple[float, floa
 
 def crop(
     thumbnail: NDArray[np.uint8],
-    record: DetectionRecord,
+    record: FruitRow,
     width_px: int,
     side_px: int = _THUMBNAIL_PX,
     half_share: float = 0.58,
@@ -351,9 +270,9 @@ def crop(
 
     Examples
     --------
-    >>> from cucumbervision_greenhouse.store.records import DetectionRecord
+    >>> from cucumbervision_greenhouse.store.records import FruitRow
     >>> small = np.zeros((60, 80, 3), np.uint8)
-    >>> box = DetectionRecord(1, box_x1_px=10, box_y1_px=10, box_x2_px=20, box_y2_px=40)
+    >>> box = FruitRow(1, box_x1_px=10, box_y1_px=10, box_x2_px=20, box_y2_px=40)
     >>> crop(small, box, 160).shape
     (96, 96, 3)
     """

@@ -33,7 +33,7 @@ from cucumbervision_greenhouse.rounds.adding import (
 )
 from cucumbervision_greenhouse.rounds.poses import placed_fruit, stored_pose
 from cucumbervision_greenhouse.rounds.stop_records import fruit_record, stored_calibration
-from cucumbervision_greenhouse.store.views import DetectionFilter, Verdict
+from cucumbervision_greenhouse.store.records import DetectionFilter, Verdict
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -47,12 +47,12 @@ if TYPE_CHECKING:
     from cucumbervision_greenhouse.jobs import Job
     from cucumbervision_greenhouse.store.records import (
         CaptureRecord,
-        DetectionRecord,
+        DetectionDetail,
+        FruitRow,
         Point,
         StopRecord,
     )
     from cucumbervision_greenhouse.store.repository import Store
-    from cucumbervision_greenhouse.store.views import DetectionDetail
     from cucumbervision_greenhouse.store.waiting import Waiting, WaitingCaptures
 
 
@@ -223,8 +223,8 @@ class SharedMeasurer:
         InstancesError
             If the mask is another fruit's.
         """
-        record = detail.view.record
-        _refuse_copy(store, detail.stop, detail.capture, mask, but=record.number)
+        record = detail.view
+        _refuse_copy(store, detail.stop, detail.capture, mask, but=record.fruit)
         keypoints = _kept_keypoints(record.keypoints, mask)
         instance = Instance(
             box=box_of_mask(mask),
@@ -237,7 +237,7 @@ class SharedMeasurer:
         )
         measurement = self._measure_stored(capture, detail.stop, instance, options)
         return store.correct(
-            detail.view.key, _placed(capture, detail.stop, measurement, record.number)
+            detail.view.key, _placed(capture, detail.stop, measurement, record.fruit)
         )
 
     def add(
@@ -284,7 +284,7 @@ class SharedMeasurer:
         fruit = _placed(capture, stop, measurement, 1)
         if is_doubtful(measurement, capture):
             flags = f"{fruit.flags} {Flag.DOUBTFUL}".strip()
-            fruit = replace(fruit, flags=flags, score=_DOUBTFUL_SCORE)
+            fruit = fruit.with_(flags=flags, score=_DOUBTFUL_SCORE)
         return store.add_fruit(stop.key, capture.name, fruit)
 
     def _sam(self) -> NetworkSegmenter:
@@ -296,7 +296,7 @@ class SharedMeasurer:
             return self._segmenter
 
 
-def _placed(capture: Capture, stop: StopRecord, fruit: Fruit, number: int) -> DetectionRecord:
+def _placed(capture: Capture, stop: StopRecord, fruit: Fruit, number: int) -> FruitRow:
     """Return a fruit of a stored capture, with its offset along the row."""
     record = fruit_record(capture, number, fruit)
     return placed_fruit(record, stored_pose(stop.pose, stop.side))
@@ -451,17 +451,14 @@ def _refuse_copy(
     InstancesError
         Naming that fruit.
     """
-    views = store.detections(stop.round_key, DetectionFilter(stop_key=stop.key))
-    corrected = store.corrected(stop.round_key)
-    masks = {fruit.number: fruit.mask for fruit in capture.fruit}
-    for view in views:
-        number = view.record.number
+    only = DetectionFilter(stop_key=stop.key)
+    for view in store.detections(stop.round_key, only, shapes=True):
+        number = view.fruit
         if view.capture != capture.name or number == but or view.verdict is Verdict.REJECTED:
             continue
-        rle = corrected[view.key].mask if view.key in corrected else masks.get(number)
-        if rle is None:
+        if view.mask is None:
             continue
-        existing = decode_rle(rle, *mask.shape)
+        existing = decode_rle(view.mask, *mask.shape)
         shared, smaller = int((mask & existing).sum()), min(int(mask.sum()), int(existing.sum()))
         if shared > _COPY_SHARE * max(smaller, 1):
             raise InstancesError(

@@ -35,8 +35,8 @@ from cucumbervision_greenhouse.settings import (
     settings_file,
     write_settings,
 )
+from cucumbervision_greenhouse.store.records import Round
 from cucumbervision_greenhouse.store.repository import Store, open_store
-from cucumbervision_greenhouse.store.views import RoundSummary
 from cucumbervision_greenhouse.store.waiting import WaitingCaptures, waiting_folder
 from cucumbervision_greenhouse.uploads import Uploads
 
@@ -169,12 +169,12 @@ def forget_profiles() -> None:
     _crop_titles.clear()
 
 
-def profile_of(round_summary: RoundSummary) -> tuple[str, CropProfile]:
+def profile_of(round_summary: Round) -> tuple[str, CropProfile]:
     """Return name and crop profile of a round; those of the settings if its own is unknown."""
-    return _profile(round_summary.record.profile or settings().profile)
+    return _profile(round_summary.profile or settings().profile)
 
 
-def rounds() -> list[RoundSummary]:
+def rounds() -> list[Round]:
     """Return the rounds, the latest walk first, and the demonstration last.
 
     That is nobody's work.
@@ -185,13 +185,11 @@ def rounds() -> list[RoundSummary]:
     )
 
 
-def houses(of_rounds: Iterable[RoundSummary]) -> list[str]:
+def houses(of_rounds: Iterable[Round]) -> list[str]:
     """Return the houses of rounds, each by the first of its names."""
-    named = sorted(of_rounds, key=lambda round_summary: round_summary.record.started_s)
+    named = sorted(of_rounds, key=lambda round_summary: round_summary.started_s)
     name_of_house: dict[str, str] = {}
     for round_summary in named:
-        if round_summary.record.house:
-            name_of_house.setdefault(
-                house_key(round_summary.record.house), round_summary.record.house
-            )
+        if round_summary.house:
+            name_of_house.setdefault(house_key(round_summary.house), round_summary.house)
     return sorted(name_of_house.values())

@@ -9,10 +9,9 @@ from typing import Any
 
 import streamlit as st
 
-from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.frames import Capture
 from cucumbervision_greenhouse.agronomy.forecast import Forecast
-from cucumbervision_greenhouse.fruit_pictures import as_data_url, crop, drawn_on, joint_tube
+from cucumbervision_greenhouse.fruit_pictures import as_data_url, crop
 from cucumbervision_greenhouse.resources import (
     KEPT,
     profile_of,
@@ -35,7 +34,7 @@ from cucumbervision_greenhouse.rounds.forecasting import (
     read_today,
 )
 from cucumbervision_greenhouse.rounds.from_store import RoundContent, read_round
-from cucumbervision_greenhouse.rounds.fruit_table import RoundFruit, fruit_table
+from cucumbervision_greenhouse.rounds.fruit_table import fruit_table
 from cucumbervision_greenhouse.rounds.merge_and_link import (
     DAY_S,
     earlier_rounds,
@@ -44,11 +43,11 @@ from cucumbervision_greenhouse.rounds.stop_records import stored_capture
 from cucumbervision_greenhouse.settings import Units
 from cucumbervision_greenhouse.store.records import (
     CaptureRecord,
-    JointRecord,
-    MethodRecord,
+    DetectionDetail,
+    FruitRow,
+    Round,
     StopRecord,
 )
-from cucumbervision_greenhouse.store.views import DetectionDetail, DetectionSummary, RoundSummary
 from cucumbervision_greenhouse.tasks import mergings, progress
 
 _CUT_PX, _CUT_SHARE = 320, 0.8
@@ -76,33 +75,32 @@ def news(round_key: str) -> dict[str, Any]:
     }
 
 
-def _version(round_summary: RoundSummary) -> tuple[object, ...]:
+def _version(round_summary: Round) -> tuple[object, ...]:
     """Return a value that changes whenever a page of the round would."""
     return (*_measured_version(round_summary), store().newest_action(round_summary.key))
 
 
-def _measured_version(round_summary: RoundSummary) -> tuple[object, ...]:
+def _measured_version(round_summary: Round) -> tuple[object, ...]:
     counts = round_summary.stops, round_summary.fruit, round_summary.last_s
     crop = profile_of(round_summary)[1].model_dump_json()
     return (round_summary.key, *counts, mergings()[round_summary.key], crop)
 
 
-_HASH_OF_ROUND: dict[str | type[Any], Callable[[Any], Any]] = {RoundSummary: _version}
+_HASH_OF_ROUND: dict[str | type[Any], Callable[[Any], Any]] = {Round: _version}
 _HASH_OF_WORDS = _HASH_OF_ROUND | {Units: lambda units: units.name}
 _HASH_OF_FRUIT: dict[str | type[Any], Callable[[Any], Any]] = {
-    DetectionSummary: lambda view: (view.key, view.corrected, view.record.box_x1_px),
-    JointRecord: lambda joint: joint.key,
+    FruitRow: lambda view: (view.key, view.corrected, view.box_x1_px),
 }
 
 
 @st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=600, hash_funcs=_HASH_OF_ROUND)
-def content_of(round_summary: RoundSummary) -> RoundContent:
+def content_of(round_summary: Round) -> RoundContent:
     """Return a round's stops and detections; read again only after a change."""
     return read_round(store(), round_summary.key)
 
 
 @st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=120, hash_funcs=_HASH_OF_ROUND)
-def graded_round(round_summary: RoundSummary) -> GradedRound:
+def graded_round(round_summary: Round) -> GradedRound:
     """Return a round's fruit and grades; computed again only after a change."""
     return grade_round(
         content_of(round_summary), fruit_of(round_summary), profile_of(round_summary)[1]
@@ -110,20 +108,20 @@ def graded_round(round_summary: RoundSummary) -> GradedRound:
 
 
 @st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=120, hash_funcs=_HASH_OF_WORDS)
-def map_lines_of(round_summary: RoundSummary, units: Units, language: str) -> list[dict[str, Any]]:  # noqa: ARG001, of the words
+def map_lines_of(round_summary: Round, units: Units, language: str) -> list[dict[str, Any]]:  # noqa: ARG001, of the words
     """Return the marks of a round's map in a unit and a language; made again after a change."""
     return map_lines(graded_round(round_summary), units)
 
 
 @st.cache_resource(show_spinner=False, max_entries=_DAYS, ttl=3600, hash_funcs=_HASH_OF_ROUND)
-def class_counts_of(round_summary: RoundSummary) -> Counter[str]:
+def class_counts_of(round_summary: Round) -> Counter[str]:
     """Return how many fruit of each class a round shows, those that were picked since as well."""
     graded = graded_round(round_summary)
     return Counter(graded.grades[view.key].label for view in graded.fruit if not view.doubtful)
 
 
 @st.cache_resource(show_spinner="Comparing …", max_entries=KEPT, ttl=600, hash_funcs=_HASH_OF_ROUND)
-def comparison_of(earlier: RoundSummary, later: RoundSummary) -> DayComparison:
+def comparison_of(earlier: Round, later: Round) -> DayComparison:
     """Return what changed between two rounds of a house; computed again only after a change."""
     between = [
         x
@@ -142,27 +140,21 @@ def comparison_of(earlier: RoundSummary, later: RoundSummary) -> DayComparison:
 
 
 @st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=120, hash_funcs=_HASH_OF_ROUND)
-def fruit_days_of(round_summary: RoundSummary, fruit_key: str) -> list[DetectionSummary]:
+def fruit_days_of(round_summary: Round, fruit_key: str) -> list[FruitRow]:
     """Return a fruit of a round, or of one before it, on every day, the earliest first."""
     views = {view.key for view in content_of(round_summary).views}
     home = round_summary.key if fruit_key in views else store().detection(fruit_key).view.round_key
     return fruit_days(store(), home, fruit_key)
 
 
-@st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=120, hash_funcs=_HASH_OF_ROUND)
-def methods_of(round_summary: RoundSummary) -> dict[str, tuple[MethodRecord, ...]]:
-    """Return every method's length by the fruit's keys, for rarely opened pages."""
-    return store().measurements(round_summary.key)
-
-
 @st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=600, hash_funcs=_HASH_OF_ROUND)
-def doubts_of(round_summary: RoundSummary) -> list[str]:
+def doubts_of(round_summary: Round) -> list[str]:
     """Return the doubts about the data of a round in the core's words, each once."""
-    return round_doubts(store(), content_of(round_summary).views)
+    return round_doubts(content_of(round_summary).views)
 
 
 @st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=600, hash_funcs=_HASH_OF_ROUND)
-def fruit_of(round_summary: RoundSummary) -> Sequence[RoundFruit]:
+def fruit_of(round_summary: Round) -> Sequence[FruitRow]:
     """Return a round's fruit with the lengths from all views; computed again after a change."""
     return fruit_table(content_of(round_summary))
 
@@ -170,14 +162,14 @@ def fruit_of(round_summary: RoundSummary) -> Sequence[RoundFruit]:
 @st.cache_resource(
     show_spinner="Forecasting …", max_entries=KEPT, ttl=600, hash_funcs=_HASH_OF_ROUND
 )
-def forecast_of(round_summary: RoundSummary) -> Forecast:
+def forecast_of(round_summary: Round) -> Forecast:
     """Return a round's forecast from today on; computed again only after a change."""
     return forecast_today(
         store(), round_summary, profile_of(round_summary)[1], time.time(), content_of(round_summary)
     )
 
 
-def _unpicked_version(round_summary: RoundSummary) -> tuple[object, ...]:
+def _unpicked_version(round_summary: Round) -> tuple[object, ...]:
     """Return a value that changes with a round's pick list, except when fruit are picked."""
     newest = store().newest_action(round_summary.key, without=("pick", "unpick"))
     return (*_measured_version(round_summary), newest, midnight_s(time.time()))
@@ -187,9 +179,9 @@ def _unpicked_version(round_summary: RoundSummary) -> tuple[object, ...]:
     show_spinner="Forecasting …",
     max_entries=KEPT,
     ttl=3600,
-    hash_funcs={RoundSummary: _unpicked_version},
+    hash_funcs={Round: _unpicked_version},
 )
-def today_of(round_summary: RoundSummary) -> Today:
+def today_of(round_summary: Round) -> Today:
     """Return a round's figures of today, including the fruit that were picked today."""
     return read_today(
         store(), round_summary, profile_of(round_summary)[1], time.time(), content_of(round_summary)
@@ -197,7 +189,7 @@ def today_of(round_summary: RoundSummary) -> Today:
 
 
 @st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=120, hash_funcs=_HASH_OF_ROUND)
-def fruit_detail(round_summary: RoundSummary, fruit_key: str) -> DetectionDetail:  # noqa: ARG001, its version
+def fruit_detail(round_summary: Round, fruit_key: str) -> DetectionDetail:  # noqa: ARG001, its version
     """Return one fruit with all its data."""
     return store().detection(fruit_key)
 
@@ -220,36 +212,23 @@ def capture_of(stop: StopRecord, taken: CaptureRecord) -> Capture:
 
 
 @st.cache_resource(show_spinner=False, max_entries=400, hash_funcs=_HASH_OF_FRUIT)
-def thumbnail_of(view: DetectionSummary) -> str | None:
+def thumbnail_of(view: FruitRow) -> str | None:
     """Return a fruit's thumbnail as a data URL; None where none was kept."""
     if view.thumbnail is None:
         return None
     small = store().images.read_color(view.thumbnail)
-    return as_data_url(crop(small, view.record, _capture_widths(view.stop_key)[view.capture]))
-
-
-@st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=600)
-def joint_of(round_key: str, key: str) -> JointRecord:
-    """Return the tube in all views of a fruit, with its path and the cameras' poses."""
-    return store().joint_drawing(round_key, key)
+    return as_data_url(crop(small, view, _capture_widths(view.stop_key)[view.capture]))
 
 
 @st.cache_resource(show_spinner=False, max_entries=400, hash_funcs=_HASH_OF_FRUIT)
-def cutout_of(view: DetectionSummary, joint: JointRecord | None = None) -> str | None:
-    """Return a fruit cut out of its picture as a data URL; None where none was kept.
-
-    `joint` is drawn on it where it was fitted to this view.
-    """
+def cutout_of(view: FruitRow) -> str | None:
+    """Return a fruit cut out of its picture as a data URL; None where none was kept."""
     captures = {capture.name: capture for capture in store().stop(view.stop_key).captures}
     taken = captures[view.capture]
     if taken.color is None:
         return None
     color = store().images.read_color(taken.color)
-    tube = None if joint is None else joint_tube(joint, view.key)
-    if tube is not None:
-        camera = CameraModel.model_validate(dict(taken.camera)).intrinsics
-        color = drawn_on(color, tube, camera)
-    return as_data_url(crop(color, view.record, taken.width_px, _CUT_PX, _CUT_SHARE))
+    return as_data_url(crop(color, view, taken.width_px, _CUT_PX, _CUT_SHARE))
 
 
 def read_ahead() -> None:

@@ -74,7 +74,7 @@ def _tables_of(request: Request) -> tuple[str, RoundTables]:
     tables = round_tables(
         resources.store(), round_summary.key, profile, profile_name=profile_name, rates=rates
     )
-    return round_summary.record.name, tables
+    return round_summary.name, tables
 
 
 @answer

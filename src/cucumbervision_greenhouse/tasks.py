@@ -26,11 +26,10 @@ from cucumbervision_greenhouse.resources import (
 )
 from cucumbervision_greenhouse.rounds.adding import add_captures
 from cucumbervision_greenhouse.rounds.demonstration import DEMONSTRATION, round_for_capture
-from cucumbervision_greenhouse.rounds.joint_lengths import measure_jointly
 from cucumbervision_greenhouse.rounds.merge_and_link import settle
 from cucumbervision_greenhouse.rounds.merge_and_link import undo as undo_in
+from cucumbervision_greenhouse.store.records import LogEntry
 from cucumbervision_greenhouse.store.repository import Store
-from cucumbervision_greenhouse.store.views import LogEntry
 
 
 @st.cache_resource(show_spinner=False)
@@ -87,20 +86,7 @@ def _settle(round_key: str) -> str:
     round_summary = store().round(round_key)
     fault = settle(store(), round_key, profile_of(round_summary)[1] if round_summary else None)
     mergings()[round_key] += 1
-    work = partial(_measure_all_views, round_key)
-    worker().submit(marked("Measuring fruit by all their views"), work, round_key)
     return fault
-
-
-def _measure_all_views(round_key: str, job: Job) -> None:
-    def report(done: int, total: int) -> None:
-        job.done, job.total = done, total
-
-    # A capture that arrives meanwhile is measured first, and the round merged with it.
-    done = measure_jointly(store(), round_key, report, lambda: bool(waiting().captures()))
-    job.notes += (failure.message for failure in done.failures)
-    if done.fruit:
-        mergings()[round_key] += 1
 
 
 @st.cache_resource(show_spinner=False)

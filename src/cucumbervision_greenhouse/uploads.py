@@ -332,7 +332,7 @@ def _kept(
         return _lost(name, Message("was deleted: undo that to have it back"))
     if item.place is None or waiting.holds(item.key):
         return _lost(name, Message("is in the round already"))
-    refuse_taken(store, home, *item.place.spot_and_camera)
+    refuse_taken(store, item.place.unmeasured(home))
     capture = item.place.capture
     stop = capture.stop
     for other in queued:

@@ -34,8 +34,7 @@ if TYPE_CHECKING:
     from cucumbervision_greenhouse.agronomy.growth import Growth
     from cucumbervision_greenhouse.agronomy.picking import Pick, Span
     from cucumbervision_greenhouse.settings import Units
-    from cucumbervision_greenhouse.store.records import DetectionRecord
-    from cucumbervision_greenhouse.store.views import LogEntry, RoundSummary, StopSummary
+    from cucumbervision_greenhouse.store.records import FruitRow, LogEntry, Round, StopRecord
 
 
 _DEMONSTRATION = marked("Demonstration (computer-made example)")
@@ -87,14 +86,14 @@ def date_words(day: date, today: date) -> str:
     return {0: _("today"), 1: _("tomorrow")}.get((day - today).days, day_month_words(day))
 
 
-def _name_of(round_summary: RoundSummary) -> str:
-    name = round_summary.record.name
+def _name_of(round_summary: Round) -> str:
+    name = round_summary.name
     return _(name) if is_demonstration(round_summary.key) else name
 
 
-def round_name(round_summary: RoundSummary) -> str:
+def round_name(round_summary: Round) -> str:
     """Return a round's name in a list: its name, house, day and number of stops."""
-    house = f", {round_summary.record.house}" if round_summary.record.house else ""
+    house = f", {round_summary.house}" if round_summary.house else ""
     stops = counted(round_summary.stops, "stop", "stops")
     name, day = _name_of(round_summary) or _("Round"), round_day(round_summary.walked_s)
     return f"{name}{house} · {day} · {stops}"
@@ -126,7 +125,7 @@ def action_words(action: LogEntry) -> str:
 
     Examples
     --------
-    >>> from cucumbervision_greenhouse.store.views import LogEntry
+    >>> from cucumbervision_greenhouse.store.records import LogEntry
     >>> action_words(LogEntry(7, 0.0, "ana", "reject", None, ("a",)))
     'not a fruit'
     >>> action_words(LogEntry(7, 0.0, "ana", "pick", None, ("a", "b")))
@@ -143,14 +142,14 @@ def taken_back(action: LogEntry) -> str:
 
     Examples
     --------
-    >>> from cucumbervision_greenhouse.store.views import LogEntry
+    >>> from cucumbervision_greenhouse.store.records import LogEntry
     >>> taken_back(LogEntry(7, 0.0, "ana", "reject", None, ("a",)))
     'Taken back: not a fruit'
     """
     return _("Taken back: {action}").format(action=action_words(action))
 
 
-def stop_name(stop: Stop | StopSummary, units: Units) -> str:
+def stop_name(stop: Stop | StopRecord, units: Units) -> str:
     """Return the place of a stop in words.
 
     Examples
@@ -334,15 +333,15 @@ def grade_words(graded: Grade) -> str:
     return words_of(graded.words)
 
 
-def length_words(record: DetectionRecord, units: Units) -> str:
+def length_words(record: FruitRow, units: Units) -> str:
     """Return a length in words: 'at least' for a lower bound, 'not measured' for none.
 
     Examples
     --------
     >>> from cucumbervision_greenhouse.settings import Units
     >>> from cucumbervision.measurement.result import Length
-    >>> from cucumbervision_greenhouse.store.records import DetectionRecord
-    >>> length_words(DetectionRecord(1, length=Length(0.241), flags="end-hidden"), Units("cm"))
+    >>> from cucumbervision_greenhouse.store.records import FruitRow
+    >>> length_words(FruitRow(1, length=Length(0.241), flags="end-hidden"), Units("cm"))
     'at least 24.1 cm'
     """
     if record.length_m is None:
@@ -351,12 +350,12 @@ def length_words(record: DetectionRecord, units: Units) -> str:
     return _("at least {length}").format(length=length) if record.at_least else length
 
 
-def interval_words(record: DetectionRecord, units: Units, words: str = "") -> str | None:
+def interval_words(record: FruitRow, units: Units, words: str = "") -> str | None:
     """Return a length's interval from end to end; None where it has none, or is a lower bound.
 
     Parameters
     ----------
-    record : DetectionRecord
+    record : FruitRow
         The fruit.
     units : Units
         Unit of lengths.
@@ -367,8 +366,8 @@ def interval_words(record: DetectionRecord, units: Units, words: str = "") -> st
     --------
     >>> from cucumbervision_greenhouse.settings import Units
     >>> from cucumbervision.measurement.result import Length
-    >>> from cucumbervision_greenhouse.store.records import DetectionRecord
-    >>> record = DetectionRecord(1, length=Length(0.24, low_m=0.235, high_m=0.247))
+    >>> from cucumbervision_greenhouse.store.records import FruitRow
+    >>> record = FruitRow(1, length=Length(0.24, low_m=0.235, high_m=0.247))
     >>> interval_words(record, Units("cm"))
     '23.5 to 24.7 cm'
     """
@@ -396,14 +395,14 @@ def kind_words(kind: str | None) -> str:
     }.get(kind or "", _("Length"))
 
 
-def height_words(record: DetectionRecord, units: Units) -> str:
+def height_words(record: FruitRow, units: Units) -> str:
     """Return how high a fruit hangs in words; empty if unknown.
 
     Examples
     --------
     >>> from cucumbervision_greenhouse.settings import Units
-    >>> from cucumbervision_greenhouse.store.records import DetectionRecord
-    >>> height_words(DetectionRecord(1, centre_y_m=-0.312), Units("cm"))
+    >>> from cucumbervision_greenhouse.store.records import FruitRow
+    >>> height_words(FruitRow(1, centre_y_m=-0.312), Units("cm"))
     '31 cm above the camera'
     """
     if record.centre_y_m is None:
@@ -426,19 +425,19 @@ def added_words(*, doubtful: bool) -> str:
     return _("Added to the round. 'Undo' removes it.")
 
 
-def remarks(record: DetectionRecord, units: Units) -> str:
+def remarks(record: FruitRow, units: Units) -> str:
     """Return the remarks on a fruit, as short sentences; technical flags are left out.
 
     Examples
     --------
     >>> from cucumbervision_greenhouse.settings import Units
     >>> from cucumbervision.measurement.result import Length
-    >>> from cucumbervision_greenhouse.store.records import DetectionRecord
-    >>> fruit = DetectionRecord(1, length=Length(0.24), flags="ends-unsure end-hidden")
+    >>> from cucumbervision_greenhouse.store.records import FruitRow
+    >>> fruit = FruitRow(1, length=Length(0.24), flags="ends-unsure end-hidden")
     >>> remarks(fruit, Units("cm"))
     'an end is hidden: at least 24.0 cm'
     """
-    meanings = [FLAGS.get(code) for code in record.flags.split()]  # type: ignore[call-overload]
+    meanings = [FLAGS.get(code) for code in record.flags.split()]
     remarks = dict.fromkeys(_(x.remark) for x in meanings if x is not None and x.remark)
     words = "; ".join(remarks)
     if not (record.at_least and record.length_m is not None):

@@ -135,10 +135,8 @@ def long_round(store: Store, template: StopRecord, stops: int) -> None:
             one = capture.fruit[k % len(capture.fruit)]
             length_m = float(rng.normal(0.26, 0.05))
             fruit.append(
-                replace(
-                    one,
-                    number=k + 1,
-                    methods=one.methods[-2:],
+                one.with_(
+                    fruit=k + 1,
                     length=one.length
                     and replace(
                         one.length, value_m=length_m, low_m=0.98 * length_m, high_m=1.02 * length_m

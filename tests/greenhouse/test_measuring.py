@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 from demo_captures import SCENES, place
-from tests.calibration.test_calibrated import entry, site
+from tests.calibration.test_calibration_file_calibrated import entry, site
 from tests.greenhouse.conftest import add_one
 
 from cucumbervision.agronomy.profiles import load_profile
@@ -37,11 +37,10 @@ from cucumbervision_greenhouse.measuring import (
 )
 from cucumbervision_greenhouse.round_tables import doubtful
 from cucumbervision_greenhouse.rounds.forecasting import fruit_states
-from cucumbervision_greenhouse.rounds.fruit_table import RoundFruit, hanging_lengths_m
+from cucumbervision_greenhouse.rounds.fruit_table import hanging_lengths_m
 from cucumbervision_greenhouse.rounds.stop_records import stored_calibration, stored_capture
-from cucumbervision_greenhouse.store.records import Round, key_of
+from cucumbervision_greenhouse.store.records import Round, Verdict, key_of
 from cucumbervision_greenhouse.store.repository import Store
-from cucumbervision_greenhouse.store.views import Verdict
 from cucumbervision_greenhouse.store.waiting import Waiting, WaitingCaptures
 
 if TYPE_CHECKING:
@@ -118,7 +117,7 @@ def test_a_stored_capture_is_the_frame_again(store: Store) -> None:
 def test_a_mask_is_corrected_by_a_tap_and_by_a_box(store: Store, measurer: SharedMeasurer) -> None:
     bench = [v for v in store.detections(WALK) if v.capture == "simulated-bench"]
     detail = store.detection(bench[2].key)
-    record = detail.view.record
+    record = detail.view
     assert record.mask is not None
     capture = stored_capture(store.images, detail.capture, detail.stop)
     true = decode_rle(record.mask, capture.height, capture.width)
@@ -131,9 +130,9 @@ def test_a_mask_is_corrected_by_a_tap_and_by_a_box(store: Store, measurer: Share
     measurer.correct(store, detail, capture, boxed, OPTIONS)
     (now,) = [v for v in store.detections(WALK) if v.key == detail.view.key]
     assert now.corrected
-    assert now.record.mask_source == MaskSource.SAM
+    assert now.mask_source == MaskSource.SAM
     thread_m = place(SCENES[2].fruit[2]).thread_m
-    assert now.record.thread_m == pytest.approx(thread_m, rel=0.06)
+    assert now.thread_m == pytest.approx(thread_m, rel=0.06)
     assert now.along_m == pytest.approx(bench[2].along_m, abs=0.01)
     store.undo(WALK)
     assert not store.detection(detail.view.key).view.corrected
@@ -155,10 +154,10 @@ def test_a_fruit_that_was_not_found_is_added_by_a_box(
     again = stored_capture(store.images, stop.captures[0], stop)
     key = measurer.add(store, stop, again, measurer.mask_from_box(again, box), OPTIONS)
     detail = store.detection(key)
-    assert detail.view.record.mask is not None
-    mask = decode_rle(detail.view.record.mask, capture.height, capture.width)
+    assert detail.view.mask is not None
+    mask = decode_rle(detail.view.mask, capture.height, capture.width)
     assert (mask & true).sum() / (mask | true).sum() > 0.9
-    assert detail.view.record.length_m is not None
+    assert detail.view.length_m is not None
     assert detail.view.along_m is not None
     store.undo(one.key)
     assert store.detections(one.key) == []
@@ -178,16 +177,16 @@ def test_a_corrected_outline_has_the_calibration_that_its_depth_has(
     store.save_round(one)
     stop = store.stop(add_one(store, one.key, capture, before).stop_key)
     detail = store.detection(store.detections(one.key)[0].key)
-    record = detail.view.record
+    record = detail.view
     mask = decode_rle(record.mask or "", capture.height, capture.width)
     capture = stored_capture(store.images, detail.capture, detail.stop)
     measurer.correct(store, detail, capture, mask, after)
-    corrected = store.detection(detail.view.key).view.record
+    corrected = store.detection(detail.view.key).view
     assert calibrated == (record.raw_length is not None) == (corrected.raw_length is not None)
     assert corrected.length_m == pytest.approx(record.length_m, rel=0.01)
     store.set_verdict([detail.view.key], Verdict.REJECTED)
     again = stored_capture(store.images, stop.captures[0], stop)
-    added = store.detection(measurer.add(store, stop, again, mask, after)).view.record
+    added = store.detection(measurer.add(store, stop, again, mask, after)).view
     assert added.length_m == pytest.approx(record.length_m, rel=0.01)
 
 
@@ -255,18 +254,16 @@ def test_an_outline_that_is_another_fruit_s_is_refused_until_that_one_is_deleted
 ) -> None:
     first, second, *_ = (store.detection(view.key) for view in store.detections(WALK))
     assert first.stop.key == second.stop.key
-    mask = decode_rle(
-        second.view.record.mask or "", second.capture.height_px, second.capture.width_px
-    )
+    mask = decode_rle(second.view.mask or "", second.capture.height_px, second.capture.width_px)
     capture = stored_capture(store.images, first.capture, first.stop)
-    with pytest.raises(InstancesError, match=f"that is fruit {second.view.record.number}"):
+    with pytest.raises(InstancesError, match=f"that is fruit {second.view.fruit}"):
         measurer.correct(store, first, capture, mask, OPTIONS)
     with pytest.raises(InstancesError, match="there already"):
         measurer.add(store, first.stop, capture, mask, OPTIONS)
     store.set_verdict([second.view.key], Verdict.REJECTED)
     measurer.correct(store, first, capture, mask, OPTIONS)
-    now = store.detection(first.view.key).view.record
-    assert now.mask == second.view.record.mask
+    now = store.detection(first.view.key).view
+    assert now.mask == second.view.mask
     assert not now.keypoints  # they were another outline's
 
 
@@ -309,8 +306,7 @@ def test_what_does_not_look_like_a_fruit_is_doubtful_until_it_is_accepted(
     assert doubtful([view]) == [view]
     profile = load_profile("long-cucumber")
     seen = store.detections(WALK)
-    table = [RoundFruit(n, one) for n, one in enumerate(seen, 1)]
-    assert key not in {state.fruit_id for state in fruit_states(table, 0.0, profile)}
+    assert key not in {state.fruit_id for state in fruit_states(seen, 0.0, profile)}
     assert len(hanging_lengths_m(seen)) == 8
     store.set_verdict([key], Verdict.ACCEPTED)
     assert not store.detection(key).view.doubtful

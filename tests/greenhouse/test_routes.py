@@ -17,7 +17,7 @@ from tests.greenhouse.camera.test_page import WALK, wait_for_jobs
 
 from cucumbervision.measurement.result import Length
 from cucumbervision_greenhouse import language, resources
-from cucumbervision_greenhouse.store.records import DetectionRecord, key_of
+from cucumbervision_greenhouse.store.records import FruitRow, key_of
 from cucumbervision_greenhouse.store.repository import Store
 
 
@@ -120,7 +120,7 @@ def test_the_printed_page_is_in_inches_where_they_are_chosen(
 ) -> None:
     store.correct(
         store.detections(WALK)[0].key,
-        DetectionRecord(1, length=Length(0.241), flags="end-hidden", offset_m=0.0),
+        FruitRow(1, length=Length(0.241), flags="end-hidden", offset_m=0.0),
     )
     in_cm = asked.get(f"/api/print/{WALK}").text
     resources.change_settings(unit="in")

@@ -17,12 +17,12 @@ from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.pipeline.run import measure_inputs
 from cucumbervision_greenhouse.rounds.adding import add_captures
 from cucumbervision_greenhouse.settings import Settings
-from cucumbervision_greenhouse.store.records import DetectionRecord, Round
+from cucumbervision_greenhouse.store.records import FruitRow, Round
 from cucumbervision_greenhouse.store.repository import open_store
 from cucumbervision_lab.benchmark.measure_case import fruit_lengths
 
 
-def said(record: DetectionRecord) -> dict[str, Any]:
+def said(record: FruitRow) -> dict[str, Any]:
     """What a record says of the length, in the columns of the tables."""
     assert record.length is not None
     metres = {
@@ -58,8 +58,8 @@ def test_every_surface_gives_the_same_lengths(tmp_path: Path, with_masks: bool) 
         options = Settings().options
         add_one(store, taken.key, capture, options)
         for one in (added, taken):
-            records = [view.record for view in store.detections(one.key)]
-            found = {record.number: said(record) for record in records}
+            records = list(store.detections(one.key))
+            found = {record.fruit: said(record) for record in records}
             assert [found[n] for n in sorted(found)] == [
                 {name: row[name] for name in found[1]} for row in rows
             ]

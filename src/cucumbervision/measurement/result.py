@@ -102,7 +102,6 @@ class Choice(StrEnum):
     IMPLAUSIBLE = "implausible-length"
     IMPLAUSIBLE_DIAMETER = "implausible-diameter"
     WAITING = "not-selected"
-    SEVERAL_VIEWS = "several-views"
 
 
 INTERVAL_Z = 1.6448536269514722  # standard normal quantile of the ends of 90 % intervals

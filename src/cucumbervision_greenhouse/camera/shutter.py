@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.frames import Stop
     from cucumbervision_greenhouse.camera.cameras import Burst, Feed
+    from cucumbervision_greenhouse.store.records import StopRecord
     from cucumbervision_greenhouse.store.repository import Store
-    from cucumbervision_greenhouse.store.views import StopSummary
     from cucumbervision_greenhouse.store.waiting import Waiting, WaitingCaptures
 
 _REMEMBERED = 2000  # presses that are remembered, since a browser may send them again
@@ -150,7 +150,7 @@ class Shutter:
         capture = grabbed.capture()
         home = round_for_capture(self._store, round_key, simulated=capture.simulated)
         waiting = [queued.stop for queued in self._waiting.captures() if queued.round_key == home]
-        taken: list[Stop | StopSummary] = [*self._store.stops(home), *waiting]
+        taken: list[Stop | StopRecord] = [*self._store.stops(home), *waiting]
         stop = replace(unless_taken(stop, taken), step=last_step(taken) + 1)
         capture = replace(capture, stop=stop, timestamp_s=press.at_s)
         queued = self._waiting.put(

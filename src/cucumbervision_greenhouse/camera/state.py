@@ -17,8 +17,8 @@ from cucumbervision_greenhouse.language import counted, marked
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.rounds.demonstration import DEMONSTRATION
 from cucumbervision_greenhouse.rounds.walking import next_place, sides_of
-from cucumbervision_greenhouse.store.corrections import TAKE_BACK
-from cucumbervision_greenhouse.store.views import DetectionFilter, Verdict
+from cucumbervision_greenhouse.store.marks import TAKE_BACK
+from cucumbervision_greenhouse.store.records import DetectionFilter, Verdict
 from cucumbervision_greenhouse.words import (
     action_words,
     added_words,
@@ -37,9 +37,8 @@ if TYPE_CHECKING:
     from cucumbervision_greenhouse.camera.page import SentFruit, SentPicture, SentUndo
     from cucumbervision_greenhouse.camera.shutter import Pressed
     from cucumbervision_greenhouse.jobs import Job
-    from cucumbervision_greenhouse.store.records import StopRecord
+    from cucumbervision_greenhouse.store.records import LogEntry, Round, StopRecord
     from cucumbervision_greenhouse.store.repository import Store
-    from cucumbervision_greenhouse.store.views import LogEntry, RoundSummary, StopSummary
 
 _UNDO_S = 60.0  # longest wait for a stop that is being measured
 
@@ -75,7 +74,7 @@ def walk(store: Store, round_key: str, source: str) -> dict[str, Any]:
         "houses": resources.houses(rounds),
         "round": round_summary.key if round_summary else "",
         "missing": bool(round_key) and round_summary is None,
-        "house": round_summary.record.house if round_summary else "",
+        "house": round_summary.house if round_summary else "",
         "home": home,
         "source": source,
         "place": asdict(place),
@@ -103,14 +102,14 @@ def walk(store: Store, round_key: str, source: str) -> dict[str, Any]:
     }
 
 
-def _no_photo(home: str, round_summary: RoundSummary | None) -> str:
+def _no_photo(home: str, round_summary: Round | None) -> str:
     """Return what is said where a photo goes into another round than the open one: it has stops."""
     if round_summary is None or home == round_summary.key:
         return ""
     return _("No photo in the round 'Demonstration' yet: each photo's result is shown here")
 
 
-def _rows(stops: Sequence[Stop | StopSummary]) -> dict[str, dict[str, Any]]:
+def _rows(stops: Sequence[Stop | StopRecord]) -> dict[str, dict[str, Any]]:
     """Return where the walk of each row goes on, by the rows' names."""
     rows = dict.fromkeys(stop.row or "" for stop in stops)
     return {row: asdict(next_place([x for x in stops if (x.row or "") == row])) for row in rows}
@@ -129,7 +128,7 @@ def _preview_of(source: str) -> Any:
         return None
 
 
-def _last_stop(round_summary: RoundSummary, last: StopSummary) -> dict[str, Any]:
+def _last_stop(round_summary: Round, last: StopRecord) -> dict[str, Any]:
     """Return the last measured stop: its pictures, with the outlines of its fruit."""
     store, units = resources.store(), resources.settings().units
     record, profile = store.stop(last.key), resources.profile_of(round_summary)[1]
@@ -138,7 +137,7 @@ def _last_stop(round_summary: RoundSummary, last: StopSummary) -> dict[str, Any]
         for view in store.detections(last.round_key, DetectionFilter(stop_key=last.key))
         if view.verdict is not Verdict.REJECTED
     ]
-    grades = {view.key: grade(view.record, profile) for view in views}
+    grades = {view.key: grade(view, profile) for view in views}
     names = {key: graded.label for key, graded in grades.items()}
     captures = []
     for taken in record.captures:
@@ -152,8 +151,8 @@ def _last_stop(round_summary: RoundSummary, last: StopSummary) -> dict[str, Any]
                 "fruit": [
                     {
                         "key": view.key,
-                        "number": view.record.number,
-                        "length": length_words(view.record, units),
+                        "number": view.fruit,
+                        "length": length_words(view, units),
                         "class": grade_words(grades[view.key]),
                     }
                     for view in capture_views
@@ -199,7 +198,7 @@ def outcome(pressed: Pressed | str | None, patience_s: float) -> dict[str, Any]:
     return {"state": "saved", "words": words, **where}
 
 
-def _place(stop: Stop | StopSummary) -> dict[str, Any]:
+def _place(stop: Stop | StopRecord) -> dict[str, Any]:
     return {"row": stop.row or "", "side": stop.side or "", "position_m": stop.position_m}
 
 

@@ -30,9 +30,8 @@ if TYPE_CHECKING:
     from cucumbervision.pipeline.batch import LoopOptions
     from cucumbervision.pipeline.options import MeasureOptions
     from cucumbervision_greenhouse.rounds.adding import Added
-    from cucumbervision_greenhouse.rounds.fruit_table import RoundFruit
+    from cucumbervision_greenhouse.store.records import FruitRow, Round
     from cucumbervision_greenhouse.store.repository import Store
-    from cucumbervision_greenhouse.store.views import RoundSummary
 
 
 app = typer.Typer(
@@ -43,7 +42,7 @@ app = typer.Typer(
 
 
 @contextmanager
-def opened_round(where: str, name: str) -> Iterator[tuple[Store, RoundSummary]]:
+def opened_round(where: str, name: str) -> Iterator[tuple[Store, Round]]:
     """Open a store and find a round in it; close the store at the end."""
     from cucumbervision_greenhouse.rounds.from_store import find_round
     from cucumbervision_greenhouse.store.repository import open_store
@@ -52,11 +51,11 @@ def opened_round(where: str, name: str) -> Iterator[tuple[Store, RoundSummary]]:
         yield store, find_round(store, name)
 
 
-def chosen_profile(name: str | None, round_summary: RoundSummary) -> CropProfile | None:
+def chosen_profile(name: str | None, round_summary: Round) -> CropProfile | None:
     """Return the crop profile that is named, or else the round's own; None without either."""
     from cucumbervision.agronomy.profiles import load_profile
 
-    profile = name or round_summary.record.profile
+    profile = name or round_summary.profile
     return load_profile(profile) if profile else None
 
 
@@ -77,9 +76,7 @@ def new(
     with open_store(store) as opened:
         opened.save_round(record)
         saved = next(
-            round_summary.record
-            for round_summary in opened.rounds()
-            if round_summary.key == record.key
+            round_summary for round_summary in opened.rounds() if round_summary.key == record.key
         )
     if saved.house != house.strip():
         typer.echo(f"the round is in the house '{saved.house}', known by that name", err=True)
@@ -150,7 +147,7 @@ def add(
         stops = add_captures(
             opened, round_summary.key, captures, options, place, lambda _: step(), loop
         )
-        doubts = round_doubts(opened, opened.detections(round_summary.key))
+        doubts = round_doubts(opened.detections(round_summary.key))
     if unused := sorted(place.poses.keys() - {stop.name for stop in stops}):
         line = f"{poses}: no capture is called {', '.join(unused)}"
         screen().print(line, soft_wrap=True, markup=False)
@@ -166,7 +163,7 @@ def _sign(higher_to: str | None) -> int | None:
     return {None: None, "right": 1, "left": -1}[higher_to]
 
 
-def with_limits(options: MeasureOptions, round_summary: RoundSummary) -> MeasureOptions:
+def with_limits(options: MeasureOptions, round_summary: Round) -> MeasureOptions:
     """Return the options with the lengths that the round's crop can have."""
     profile = chosen_profile(None, round_summary)
     return options if profile is None else options.for_crop(profile)
@@ -233,16 +230,12 @@ def merge(
     store: StoreName = "house.db",
     round_: RoundName = "",
 ) -> None:
-    """Merge views of the same fruit from several stops, and measure it from all views together.
-
-    Manual decisions are kept, and joint measurements are reused.
-    """
+    """Merge views of the same fruit from several stops; manual decisions are kept."""
     from cucumbervision.cli.console import columns_table, screen
     from cucumbervision_greenhouse.rounds.merge_and_link import merge_round
 
     with opened_round(store, round_) as (opened, round_summary):
         rows = merge_round(opened, round_summary.key)
-        measure_all_views(opened, round_summary.key)
     right = ("stops", "views", "fruit", "stops known to")
     table = columns_table("Merged rows", ("row",), *right)
     for row in rows:
@@ -264,30 +257,13 @@ def merge(
 
 
 def settle_round(store: Store, key: str) -> None:
-    """Merge a round again, measure its joint lengths and link it; print failures."""
+    """Merge a round again and link it; print failures."""
     from cucumbervision.cli.console import screen
     from cucumbervision_greenhouse.rounds.from_store import find_round
     from cucumbervision_greenhouse.rounds.merge_and_link import settle
 
     if fault := settle(store, key, chosen_profile(None, find_round(store, key))):
         screen().print(fault, soft_wrap=True, markup=False)
-    measure_all_views(store, key)
-
-
-def measure_all_views(store: Store, key: str) -> None:
-    """Measure fruit from all their views together, and show progress."""
-    from rich.console import Console
-
-    from cucumbervision.cli.console import progress_bar, show_failures
-    from cucumbervision_greenhouse.rounds.joint_lengths import measure_jointly
-
-    with progress_bar(Console(stderr=True, highlight=False)) as bar:
-        task = bar.add_task("fruit in several views", total=None)
-        done = measure_jointly(
-            store, key, lambda k, total: bar.update(task, completed=k, total=total)
-        )
-        bar.update(task, visible=False)
-    show_failures(done.failures)
 
 
 @app.command()
@@ -327,7 +303,7 @@ def show(
     with opened_round(store, round_) as (opened, round_summary):
         lines = fruit_table(read_round(opened, round_summary.key))
     crop = chosen_profile(profile, round_summary)
-    title = f"{round_summary.record.name or round_summary.key}: {len(lines)} fruit, lengths in cm"
+    title = f"{round_summary.name or round_summary.key}: {len(lines)} fruit, lengths in cm"
     right = ("at, m", "length", "90 % interval", "seen")
     table = columns_table(title, ("no.", "row", "side"), *right)
     for head in ("class", "remarks", "key"):
@@ -337,11 +313,11 @@ def show(
     screen().print(table)
 
 
-def _cells(line: RoundFruit, profile: CropProfile | None) -> list[str]:
+def _cells(line: FruitRow, profile: CropProfile | None) -> list[str]:
     from cucumbervision.agronomy.grades import grade
     from cucumbervision.measurement.flags import flag_remarks
 
-    view, record = line.view, line.view.record
+    view, record = line, line
     length = record.length
     low_m, high_m = (None, None) if length is None else (length.low_m, length.high_m)
     prefix = "≥ " if record.at_least else ""
@@ -377,7 +353,7 @@ def list_(store: StoreName = "house.db") -> None:
     text_columns = ("key", "name", "house", "walked", "profile")
     table = columns_table(None, text_columns, "stops", "views")
     for round_summary in rounds:
-        record = round_summary.record
+        record = round_summary
         walked = (
             datetime.fromtimestamp(round_summary.walked_s).astimezone().strftime("%Y-%m-%d %H:%M")
         )
@@ -439,7 +415,7 @@ def export(
             opened,
             round_summary.key,
             chosen_profile(profile, round_summary),
-            profile_name=profile or round_summary.record.profile,
+            profile_name=profile or round_summary.profile,
         )
         for path in write_exports(tables, out, formats or usual):
             typer.echo(path)

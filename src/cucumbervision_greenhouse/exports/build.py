@@ -18,7 +18,6 @@ from cucumbervision.agronomy.grades import grade
 from cucumbervision.capture.source import safe_name
 from cucumbervision.errors import CucumberVisionError, ForecastError
 from cucumbervision.measurement.flags import flag_remarks
-from cucumbervision.measurement.methods import AVAILABLE
 from cucumbervision.pipeline.fields import FIELDS, Field, read_fields, utc
 from cucumbervision_greenhouse.agronomy.picking import PickKind, pick_list, plan_work
 from cucumbervision_greenhouse.exports.fruit_pictures import fruit_pictures
@@ -30,7 +29,7 @@ from cucumbervision_greenhouse.rounds.fruit_table import (
     round_figures,
 )
 from cucumbervision_greenhouse.rounds.merge_and_link import DAY_S, row_counts
-from cucumbervision_greenhouse.store.records import DetectionRecord
+from cucumbervision_greenhouse.store.records import FruitRow
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -40,10 +39,12 @@ if TYPE_CHECKING:
     from cucumbervision_greenhouse.agronomy.forecast import Counts, Forecast
     from cucumbervision_greenhouse.agronomy.picking import Rates
     from cucumbervision_greenhouse.rounds.from_store import RoundContent
-    from cucumbervision_greenhouse.rounds.fruit_table import RoundFruit
-    from cucumbervision_greenhouse.store.records import ArtifactRecord, MethodRecord
+    from cucumbervision_greenhouse.store.records import (
+        ArtifactRecord,
+        FruitRow,
+        Round,
+    )
     from cucumbervision_greenhouse.store.repository import Store
-    from cucumbervision_greenhouse.store.views import RoundSummary
 
 
 PICTURES = "pictures"
@@ -95,9 +96,9 @@ def round_tables(
     table = fruit_table(content)
     now_s = time.time()
     forecast, note = _forecast(store, view, content, profile, days, now_s)
-    pictures_of = _pictures(store, content, table, view.record.name) if pictures else {}
+    pictures_of = _pictures(store, content, table, view.name) if pictures else {}
     measured_with = store.artifacts(round_key)
-    called = profile_name or (profile.title if profile else view.record.profile)
+    called = profile_name or (profile.title if profile else view.profile)
     provenance = _provenance(measured_with.values(), profile, called, len(content.stops))
     hashes = {key: _hashes(used) for key, used in measured_with.items()}
     today_s = day_0_s(view, now_s)
@@ -105,13 +106,13 @@ def round_tables(
         "summary": [_summary(view, content, table, forecast, called)],
         "rows": row_counts(content),
         "fruit": (
-            {**line, "picture": pictures_of.get(key, ("",))[0], "hashes": hashes.get(stop_key)}
-            for key, stop_key, line in _fruit_lines(
-                table, store.measurements(round_key), profile, forecast
-            )
+            {**line, "picture": pictures_of.get(line["key"], ("",))[0]}
+            | {"hashes": hashes.get(line["stop_key"])}
+            for line in _fruit_lines(table, profile, forecast)
         ),
         "stops": (
             {"number": n, "stop": stop, "picture": pictures_of.get(stop.key, ("",))[0]}
+            | {"captures": len(stop.captures), "failures": len(stop.failures)}
             | {"hashes": hashes.get(stop.key)}
             for n, stop in enumerate(content.stops, 1)
         ),
@@ -121,10 +122,10 @@ def round_tables(
         "provenance": provenance,
     }
     return RoundTables(
-        title=view.record.name or view.key,
+        title=view.name or view.key,
         provenance=_about(view, provenance),
         tables={name: ExportTable.of(name, table_lines) for name, table_lines in lines.items()},
-        bins=_length_bins([100 * x for x in hanging_lengths_m(line.view for line in table)]),
+        bins=_length_bins([100 * x for x in hanging_lengths_m(table)]),
         pictures=dict(pictures_of.values()),
         note=note,
     )
@@ -132,7 +133,7 @@ def round_tables(
 
 def _forecast(
     store: Store,
-    view: RoundSummary,
+    view: Round,
     content: RoundContent,
     profile: CropProfile | None,
     days: int,
@@ -147,7 +148,7 @@ def _forecast(
 
 
 def _pictures(
-    store: Store, content: RoundContent, table: Sequence[RoundFruit], called: str
+    store: Store, content: RoundContent, table: Sequence[FruitRow], called: str
 ) -> dict[str, tuple[str, Callable[[], bytes]]]:
     """Return name and factory of each picture, by the keys of fruit and stops."""
     makers: dict[str, Callable[[], bytes]] = {
@@ -157,7 +158,7 @@ def _pictures(
     }
     makers.update(fruit_pictures(store, content.key, table))
     places = [(stop.key, stop.row, f"stop-{n:03d}") for n, stop in enumerate(content.stops, 1)]
-    places += [(line.view.key, line.view.row, f"fruit-{line.number:04d}") for line in table]
+    places += [(line.key, line.row, f"fruit-{line.number:04d}") for line in table]
     pictures = {}
     for key, row, what in places:
         if key in makers:
@@ -194,13 +195,13 @@ def _provenance(
     return [dict(zip(("kind", "name", "sha256", "stops"), cells, strict=True)) for cells in lines]
 
 
-def _about(view: RoundSummary, provenance: list[Line]) -> dict[str, Any]:
+def _about(view: Round, provenance: list[Line]) -> dict[str, Any]:
     return {
         "software": f"cucumbervision {__version__}",
         "licence": LICENCE,
         "source": source_offer(),
         "written_utc": datetime.now(UTC).isoformat(timespec="seconds"),
-        "round": view.record.name,
+        "round": view.name,
         "round_key": view.key,
         "hashes": [
             {key: line[key] for key in ("kind", "name", "sha256")}
@@ -211,9 +212,9 @@ def _about(view: RoundSummary, provenance: list[Line]) -> dict[str, Any]:
 
 
 def _summary(
-    view: RoundSummary,
+    view: Round,
     content: RoundContent,
-    table: Sequence[RoundFruit],
+    table: Sequence[FruitRow],
     forecast: Forecast | None,
     profile: str,
 ) -> Line:
@@ -224,44 +225,38 @@ def _summary(
         "profile": profile,
         "rows": len({stop.row for stop in content.stops if stop.row is not None}),
         "stops": len(content.stops),
-        "captures": sum(stop.captures for stop in content.stops),
-        "failures": sum(stop.failures for stop in content.stops),
+        "captures": sum(len(stop.captures) for stop in content.stops),
+        "failures": sum(len(stop.failures) for stop in content.stops),
         "ready_today": None if forecast is None else listed[PickKind.READY],
         "may_be_ready": None if forecast is None else listed[PickKind.UNDECIDED],
-        "simulated": any(line.view.simulated for line in table),
+        "simulated": any(line.simulated for line in table),
     }
 
 
 def _fruit_lines(
-    table: Sequence[RoundFruit],
-    methods: Mapping[str, Sequence[MethodRecord]],
-    profile: CropProfile | None,
-    forecast: Forecast | None,
-) -> Iterator[tuple[str, str, Line]]:
-    """Return key, stop and row of each fruit."""
+    table: Sequence[FruitRow], profile: CropProfile | None, forecast: Forecast | None
+) -> Iterator[Line]:
+    """Return what the columns of each fruit lead through: its row, and what is said of it."""
     ready: dict[str, float] = {}
     if forecast is not None:
         ids = (state.fruit_id for state in forecast.fruit)
         ready = dict(zip(ids, forecast.ready.tolist(), strict=True))
-    for line_of_fruit in table:
-        view = line_of_fruit.view
-        line = {
-            **vars(line_of_fruit),
-            **_grade_cells(line_of_fruit, profile),
-            "ready": ready.get(view.key),
-            "remarks": _remarks(line_of_fruit),
-            "methods": {
-                measurement.method.upper(): measurement.length_m
-                for measurement in methods.get(view.key, ())
-            },
+    for fruit in table:
+        yield {
+            **vars(fruit),
+            "inner_arc_mm_per_10cm": fruit.inner_arc_mm_per_10cm,
+            # A lower bound has no upper end.
+            "interval_high_m": None if fruit.at_least else fruit.interval_high_m,
+            **_grade_cells(fruit, profile),
+            "ready": ready.get(fruit.key),
+            "remarks": _remarks(fruit),
         }
-        yield view.key, view.stop_key, line
 
 
-def _grade_cells(line: RoundFruit, profile: CropProfile | None) -> Line:
+def _grade_cells(line: FruitRow, profile: CropProfile | None) -> Line:
     if profile is None:
         return dict.fromkeys(("grade", "grade_probability", "grade_rule", "mass_kg"))
-    graded = grade(line.view.record, profile)
+    graded = grade(line, profile)
     return {
         "grade": graded,
         "grade_probability": graded.probabilities.get(graded.name),
@@ -298,13 +293,13 @@ def _forecast_lines(forecast: Forecast, today_s: float) -> Iterator[Line]:
                 }
 
 
-def _pick_lines(forecast: Forecast, table: Sequence[RoundFruit]) -> Iterator[Line]:
-    lines = {line.view.key: line for line in table}
+def _pick_lines(forecast: Forecast, table: Sequence[FruitRow]) -> Iterator[Line]:
+    lines = {line.key: line for line in table}
     for order, pick in enumerate(pick_list(forecast), 1):
         line = lines[pick.fruit.fruit_id]
         yield {
-            **{"order": order, "number": line.number, "pick": pick, "view": line.view},
-            "simulated": line.view.simulated,
+            **{"order": order, "number": line.number, "pick": pick, "view": line},
+            "simulated": line.simulated,
         }
 
 
@@ -319,15 +314,14 @@ def _dates(today_s: float, day: int) -> Line:
     return {"date": date, "date_utc": utc(today_s + day * DAY_S)[:10]}
 
 
-def _remarks(fruit: RoundFruit) -> str:
+def _remarks(fruit: FruitRow) -> str:
     """Return the remarks of a fruit as text."""
-    record = fruit.view.record
-    bound = record.at_least and record.length_m is not None
+    bound = fruit.at_least and fruit.length_m is not None
     parts = (
-        "picked" if fruit.view.picked_s else "",
-        "drawn, not grown" if fruit.view.simulated else "",
+        "picked" if fruit.picked_s else "",
+        "drawn, not grown" if fruit.simulated else "",
         flag_remarks(
-            record.flags, f"at least {100 * (record.length_m or 0):.1f} cm" if bound else ""
+            fruit.flags, f"at least {100 * (fruit.length_m or 0):.1f} cm" if bound else ""
         ),
     )
     return "; ".join(filter(None, parts))
@@ -419,44 +413,23 @@ class RoundTables:
         return self.tables["summary"].rows[0]
 
 
-def _stored_field(column: Field) -> Field | None:
-    """Return the stored field of a fruit for a field of `measurements.csv`, or None.
-
-    Lengths are stored as `Length` values.
-    """
-    inside = column.path.removeprefix("fruit.")
-    if not inside.startswith(("length.", "raw_length.")):
-        inside = column.si_name
-    is_stored = hasattr(DetectionRecord, inside.partition(".")[0])
-    return replace(column, path=f"view.record.{inside}") if is_stored else None
-
-
-_STORED_FIELDS = {
-    column.name: stored for column in FIELDS if (stored := _stored_field(column)) is not None
-}
-_METHODS = tuple(
-    replace(column, path=f"methods.{method}")
-    for method in AVAILABLE
+_STORED = {
+    column.name: replace(column, path=column.si_name)
     for column in FIELDS
-    if column.name == f"{method.lower()}_cm"
-)
+    if column.owner == "fruit"
+}
 
 
 def _columns() -> dict[str, tuple[Field, ...]]:
-    """Read `columns.csv`: a line without description is a stored field, '*' all remaining ones."""
+    """Read `columns.csv`: a line without description is one of `fields.csv`, '*' all others."""
     described = read_fields(Path(__file__).with_name("columns.csv"))
     named = {line["name"] for line, _ in described if line["table"] == "fruit"}
-    remaining = [
-        *(column for name, column in _STORED_FIELDS.items() if name not in named),
-        *_METHODS,
-    ]
+    remaining = [column for name, column in _STORED.items() if name not in named]
     columns: dict[str, list[Field]] = {}
     for line, column in described:
         table = columns.setdefault(line["table"], [])
-        columns_of_line = (
-            remaining if column.name == "*" else [_STORED_FIELDS.get(column.name, column)]
-        )
-        table += [column] if column.says else columns_of_line
+        of_line = remaining if column.name == "*" else [_STORED.get(column.name, column)]
+        table += [column] if column.says else of_line
     return {name: tuple(table) for name, table in columns.items()}
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Any, cast
 
@@ -27,8 +26,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from cucumbervision_greenhouse.rounds.fruit_table import RoundFruit
-    from cucumbervision_greenhouse.store.records import CaptureRecord, DetectionRecord, ImageRef
+    from cucumbervision_greenhouse.store.records import CaptureRecord, FruitRow
     from cucumbervision_greenhouse.store.repository import Store
 
 _LONG_SIDE_PX = 480
@@ -38,43 +36,37 @@ _QUALITY = 90
 
 
 def fruit_pictures(
-    store: Store, round_key: str, fruit: Sequence[RoundFruit]
+    store: Store, round_key: str, table: Sequence[FruitRow]
 ) -> dict[str, Callable[[], bytes]]:
-    """Return functions that draw each fruit as JPEG, by key, if its capture was kept."""
-    corrected = store.corrected(round_key)
+    """Return functions that draw each fruit of a round's table as JPEG, by key.
+
+    Fruit whose capture was not kept are left out.
+    """
+    shapes = {view.key: view.shape for view in store.detections(round_key, shapes=True)}
+    captures = {
+        (stop.key, capture.name): capture
+        for stop in store.stops(round_key)
+        for capture in stop.captures
+    }
     makers: dict[str, Callable[[], bytes]] = {}
     read = lru_cache(4)(store.images.read_color)
-    by_stop: dict[str, list[RoundFruit]] = {}
-    for line in fruit:
-        by_stop.setdefault(line.view.stop_key, []).append(line)
-    for stop_key, lines in by_stop.items():
-        captures = {capture.name: capture for capture in store.stop(stop_key).captures}
-        for line in lines:
-            capture = captures[line.view.capture]
-            image = capture.color or capture.thumbnail
-            if image is None or not store.images.path(image).is_file():
-                continue
-            record = corrected.get(line.view.key) or next(
-                candidate
-                for candidate in capture.fruit
-                if candidate.number == line.view.record.number
-            )
-            bare = replace(capture, fruit=())
-            makers[line.view.key] = partial(_jpeg, read, image, record, bare)
+    for fruit in table:
+        capture = captures[fruit.stop_key, fruit.capture]
+        image = capture.color or capture.thumbnail
+        if image is not None and store.images.path(image).is_file():
+            whole = fruit.with_(**shapes[fruit.key])
+            makers[fruit.key] = partial(_jpeg, read, image, whole, capture)
     return makers
 
 
 def _jpeg(
-    read: Callable[[ImageRef], NDArray[np.uint8]],
-    image: ImageRef,
-    record: DetectionRecord,
-    capture: CaptureRecord,
+    read: Callable[[str], NDArray[np.uint8]], image: str, fruit: FruitRow, capture: CaptureRecord
 ) -> bytes:
-    return as_jpeg(draw_fruit(read(image), record, capture), quality=_QUALITY)
+    return as_jpeg(draw_fruit(read(image), fruit, capture), quality=_QUALITY)
 
 
 def draw_fruit(
-    color: NDArray[np.uint8], record: DetectionRecord, capture: CaptureRecord
+    color: NDArray[np.uint8], record: FruitRow, capture: CaptureRecord
 ) -> NDArray[np.uint8]:
     """Draw one fruit, cropped with a margin.
 
@@ -82,7 +74,7 @@ def draw_fruit(
     ----------
     color : ndarray of uint8, shape (H, W, 3)
         RGB picture of the capture, possibly downscaled.
-    record : DetectionRecord
+    record : FruitRow
         The fruit; a missing mask or method is not drawn.
     capture : CaptureRecord
         Size and camera of the capture.
@@ -94,8 +86,8 @@ def draw_fruit(
 
     Examples
     --------
-    >>> from cucumbervision_greenhouse.store.records import CaptureRecord, DetectionRecord
-    >>> fruit = DetectionRecord(1, box_x1_px=100, box_y1_px=10, box_x2_px=140, box_y2_px=110)
+    >>> from cucumbervision_greenhouse.store.records import CaptureRecord, FruitRow
+    >>> fruit = FruitRow(1, box_x1_px=100, box_y1_px=10, box_x2_px=140, box_y2_px=110)
     >>> capture = CaptureRecord("a", width_px=640, height_px=480)
     >>> draw_fruit(np.zeros((480, 640, 3), np.uint8), fruit, capture).shape
     (480, 330, 3)
@@ -121,11 +113,7 @@ def draw_fruit(
             draw_polyline(picture, place(outline), COLORS[0], 2, closed=True)
     if capture.camera:
         camera = CameraModel.model_validate(capture.camera).intrinsics
-        chosen = next(
-            (measurement for measurement in record.methods if measurement.method == record.method),
-            None,
-        )
-        path = None if chosen is None else path_px(chosen.path_m, camera)
+        path = path_px(record.path_m, camera)
         if path is not None:
             draw_line(picture, place(path), COLORS[0], 0.75)
         if record.distance_m:
@@ -136,7 +124,7 @@ def draw_fruit(
     return picture
 
 
-def _window(record: DetectionRecord, width_px: int, height_px: int) -> tuple[int, int, int, int]:
+def _window(record: FruitRow, width_px: int, height_px: int) -> tuple[int, int, int, int]:
     """Return left, top, right and bottom of the crop in whole pixels."""
     x1, y1, x2, y2 = record.box_x1_px, record.box_y1_px, record.box_x2_px, record.box_y2_px
     if x2 - x1 < 1 or y2 - y1 < 1:  # no box

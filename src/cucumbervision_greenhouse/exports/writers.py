@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from collections import Counter
 from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from cucumbervision.errors import MissingExtraError, wrap_os_errors
@@ -17,7 +19,6 @@ from cucumbervision_greenhouse.exports.page_words import ENGLISH
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Sequence
-    from pathlib import Path
 
     from jinja2 import Template
 
@@ -33,7 +34,7 @@ def write_exports(
     *,
     words: PageWords = ENGLISH,
 ) -> list[Path]:
-    """Write a round in one or more formats; existing files are replaced.
+    """Write a round in one or more formats; files that are there are replaced when all are whole.
 
     Parameters
     ----------
@@ -67,12 +68,18 @@ def write_exports(
     }
     with wrap_os_errors("cannot be written", out, "choose another folder, and close its files"):
         out.mkdir(parents=True, exist_ok=True)
-        for name, make in tables.pictures.items():
-            (out / name).parent.mkdir(exist_ok=True)
-            (out / name).write_bytes(make())
-        return [
-            path for kind in ExportFormat if kind in formats for path in writers[kind](tables, out)
-        ]
+        with TemporaryDirectory(prefix=".export-", dir=out) as folder:
+            half = Path(folder)
+            for name, make in tables.pictures.items():
+                (half / name).parent.mkdir(exist_ok=True)
+                (half / name).write_bytes(make())
+            kinds = [kind for kind in ExportFormat if kind in formats]
+            written = [path for kind in kinds for path in writers[kind](tables, half)]
+            for path in [path for path in half.rglob("*") if path.is_file()]:
+                target = out / path.relative_to(half)
+                target.parent.mkdir(exist_ok=True)
+                path.replace(target)
+        return [out / path.relative_to(half) for path in written]
 
 
 def _write_csv(tables: RoundTables, out: Path) -> list[Path]:

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from cucumbervision_greenhouse.store.views import DetectionSummary, RoundSummary
+    from cucumbervision_greenhouse.store.records import FruitRow, Round
 
 _LINES = 30
 _KINDS = {
@@ -42,10 +42,10 @@ _KINDS = {
 
 
 @page_elements.of_round
-def page(round_summary: RoundSummary) -> None:
+def page(round_summary: Round) -> None:
     """Draw the page."""
     graded = round_caches.graded_round(round_summary)
-    fruit = [view for view in graded.fruit if view.record.length_m is not None]
+    fruit = [view for view in graded.fruit if view.length_m is not None]
     own_fruit, grid, saved = st.tabs([_("Own fruit"), _("Printed grid"), _("Calibrations")])
     with own_fruit:
         _own_fruit(round_summary, fruit)
@@ -55,7 +55,7 @@ def page(round_summary: RoundSummary) -> None:
         calibrations.draw_choice()
 
 
-def _own_fruit(round_summary: RoundSummary, fruit: list[DetectionSummary]) -> None:
+def _own_fruit(round_summary: Round, fruit: list[FruitRow]) -> None:
     if not fruit:
         st.info(_("This round has no measured fruit yet."), icon=":material/straighten:")
         return
@@ -72,7 +72,7 @@ def _own_fruit(round_summary: RoundSummary, fruit: list[DetectionSummary]) -> No
         _scores(round_summary, path)
 
 
-def _table(fruit: list[DetectionSummary], path: Path) -> None:
+def _table(fruit: list[FruitRow], path: Path) -> None:
     units = resources.settings().units
     saved = hand_lengths(path, fruit)
     page_elements.choose_page(fruit, "hand_page", _LINES)
@@ -109,11 +109,11 @@ def _table(fruit: list[DetectionSummary], path: Path) -> None:
         )
     odd = [
         _("{by_hand} by hand, {length} by the program").format(
-            by_hand=units.text(hand_m), length=length_words(view.record, units)
+            by_hand=units.text(hand_m), length=length_words(view, units)
         )
         for view in fruit
         for hand_m in saved.get(view.key, ())
-        if is_odd(view.record, hand_m)
+        if is_odd(view, hand_m)
     ]
     if odd:
         words = _("{lengths}. Is that right?").format(lengths=plain("; ".join(odd)))
@@ -146,26 +146,24 @@ def _read(
     return bad
 
 
-def _line(view: DetectionSummary, saved_m: tuple[float | None, float | None]) -> dict[str, Any]:
+def _line(view: FruitRow, saved_m: tuple[float | None, float | None]) -> dict[str, Any]:
     units = resources.settings().units
     position = position_words(view.along_m, units) if view.along_m is not None else ""
     return {
         "key": view.key,
         "picture": round_caches.thumbnail_of(view),
         "saved": ["" if x is None else decimal_words(f"{units.value(x):.5g}") for x in saved_m],
-        "program": units.text(view.record.length_m),
+        "program": units.text(view.length_m),
         "name": _("fruit {number}, {place}").format(
-            number=view.record.number, place=position or view.capture
+            number=view.fruit, place=position or view.capture
         ),
         "at": position,
         "row": view.row or "?",
     }
 
 
-def _scores(round_summary: RoundSummary, path: Path) -> None:
-    measured = measured_round(
-        resources.store(), round_summary.key, round_caches.methods_of(round_summary)
-    )
+def _scores(round_summary: Round, path: Path) -> None:
+    measured = measured_round(resources.store(), round_summary.key)
     truth = truth_of(path, measured)
     if not truth.lengths:
         return

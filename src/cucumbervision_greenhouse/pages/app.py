@@ -107,7 +107,7 @@ def _head(title: str) -> str:
     """Return the top of a page: the program and the house that is open."""
     opened = st.session_state.get("round")
     rounds = [resources.store().round(opened)] if opened else resources.rounds()
-    house = next((x.record.house for x in rounds if x is not None), "")
+    house = next((x.house for x in rounds if x is not None), "")
     parts = {
         "home": escape(f"/?{urlencode(page_elements.here())}"),
         "house": escape(house),

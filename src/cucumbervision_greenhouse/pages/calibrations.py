@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from cucumbervision.accuracy.own_truth import Measured
     from cucumbervision.accuracy.truth import Truth
     from cucumbervision.calibration.calibration_file import SiteCalibration
-    from cucumbervision_greenhouse.store.views import RoundSummary
+    from cucumbervision_greenhouse.store.records import Round
 
 _GRID_MM = 1.0, 200.0, 10.0  # between the lines: least, most, usual
 
@@ -41,7 +41,7 @@ def draw_own_fruit(measured: Measured, truth: Truth) -> None:
     _make(label, lambda: calibrate_lengths(measured, truth, name.strip()))
 
 
-def draw_grid(round_summary: RoundSummary) -> None:
+def draw_grid(round_summary: Round) -> None:
     """Draw the form that calibrates a camera with a round's pictures of a printed grid."""
     st.write(
         _(

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
 
-    from cucumbervision_greenhouse.store.views import DetectionSummary
+    from cucumbervision_greenhouse.store.records import FruitRow
 
 _OWN_RULE = "limits of this house"
 
@@ -112,9 +112,9 @@ class CropLimits:
         return parse_model(CropProfile, content, source=Message("the limits"), error=ProfileError)
 
 
-def class_counts(views: Iterable[DetectionSummary], profile: CropProfile) -> Counter[str]:
+def class_counts(views: Iterable[FruitRow], profile: CropProfile) -> Counter[str]:
     """Return how many fruit are in each class by a profile."""
-    return Counter(grade(view.record, profile).label for view in views)
+    return Counter(grade(view, profile).label for view in views)
 
 
 def save_own_profile(profile: CropProfile, before: CropProfile | None = None) -> Path:

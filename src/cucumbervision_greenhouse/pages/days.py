@@ -23,7 +23,7 @@ if TYPE_CHECKING:
         DayComparison,
         FruitChange,
     )
-    from cucumbervision_greenhouse.store.views import RoundSummary
+    from cucumbervision_greenhouse.store.records import Round
 
 _WEEK, _SEASON = 7, 200  # rounds in the chart
 _CHANGES = {
@@ -36,7 +36,7 @@ _CHANGES = {
 
 
 @page_elements.of_round
-def page(round_summary: RoundSummary) -> None:
+def page(round_summary: Round) -> None:
     """Draw the page."""
     earlier = {x.key: x for x in earlier_rounds(resources.store(), round_summary.key)}
     if not round_summary.fruit or not earlier:
@@ -62,7 +62,7 @@ def page(round_summary: RoundSummary) -> None:
     _trend(round_summary, [round_summary, *earlier.values()])
 
 
-def _choose_day(earlier: dict[str, RoundSummary]) -> str:
+def _choose_day(earlier: dict[str, Round]) -> str:
     names = {key: day_words(x.walked_s) for key, x in earlier.items()}
     label = label_options("compared_with", names)
     if st.session_state.get("compared_with") not in earlier:
@@ -77,7 +77,7 @@ def _keys(fruit: FruitChange) -> list[str]:
     return [view.key for view in (fruit.before, fruit.after) if view is not None]
 
 
-def _metrics(counts: ChangeCounts, before: RoundSummary, after: RoundSummary) -> None:
+def _metrics(counts: ChangeCounts, before: Round, after: Round) -> None:
     metrics: dict[str, int | str] = {
         _("On {day}").format(day=day_words(before.walked_s)): counts.before,
         _("Picked"): counts.picked,
@@ -146,7 +146,7 @@ def _rows(comparison: DayComparison) -> None:
         page_elements.table(lines)
 
 
-def _classes(comparison: DayComparison, before: RoundSummary, after: RoundSummary) -> None:
+def _classes(comparison: DayComparison, before: Round, after: Round) -> None:
     """Show the compared fruit by class, on both days."""
     grades = [round_caches.graded_round(x).grades for x in (before, after)]
     compared = [x for x in comparison.changes if x.change is not Change.NOT_WALKED]
@@ -191,7 +191,7 @@ def _each_fruit(comparison: DayComparison) -> None:
     page_elements.choose_page(changes, "days_page", round_caches.LINES)
 
 
-def _fruit_days(round_summary: RoundSummary, key: str) -> None:
+def _fruit_days(round_summary: Round, key: str) -> None:
     """Show one fruit on all its days: pictures, lengths, and a chart of them."""
     units = resources.settings().units
     views = round_caches.fruit_days_of(round_summary, key)
@@ -210,10 +210,10 @@ def _fruit_days(round_summary: RoundSummary, key: str) -> None:
         page_elements.link("results", _("Open this fruit"), fruit=views[-1].key)
 
 
-def _trend(round_summary: RoundSummary, rounds: list[RoundSummary]) -> None:
+def _trend(round_summary: Round, rounds: list[Round]) -> None:
     """Draw the fruit on the plant by day, when it is asked for: a season takes long to read."""
     title = _("All days of this house")
-    if house := round_summary.record.house:
+    if house := round_summary.house:
         title = _("All days of {house}").format(house=plain(house))
     section = page_elements.section(title, "bar_chart", "trend")
     if section is None:

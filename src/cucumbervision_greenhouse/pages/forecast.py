@@ -31,11 +31,11 @@ from cucumbervision_greenhouse.words import (
 )
 
 if TYPE_CHECKING:
-    from cucumbervision_greenhouse.store.views import RoundSummary
+    from cucumbervision_greenhouse.store.records import Round
 
 
 @page_elements.of_round
-def page(round_summary: RoundSummary) -> None:
+def page(round_summary: Round) -> None:
     """Draw the page."""
     prediction = round_caches.forecast_of(round_summary)
     if not prediction.fruit:
@@ -54,7 +54,7 @@ def page(round_summary: RoundSummary) -> None:
             _work(prediction)
 
 
-def _age(round_summary: RoundSummary) -> None:
+def _age(round_summary: Round) -> None:
     walked = round_summary.walked_s
     days, age = age_of(walked, time.time())
     if days < 0:

@@ -9,13 +9,13 @@ import streamlit as st
 
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.instances.instance import MaskSource
+from cucumbervision.measurement.methods import AVAILABLE
 from cucumbervision_greenhouse import resources, round_caches
 from cucumbervision_greenhouse.core_words import words_of
 from cucumbervision_greenhouse.fruit_pictures import (
     as_data_url,
     depth_picture,
     fruit_layers,
-    joint_tube,
     ruler_m,
     scale_bar,
     stop_layers,
@@ -27,7 +27,7 @@ from cucumbervision_greenhouse.pages.page_elements import button, draw_undo, pic
 from cucumbervision_greenhouse.round_tables import GradedRound, figure_lines
 from cucumbervision_greenhouse.rounds.fruit_table import least_sure_first
 from cucumbervision_greenhouse.rounds.stop_records import stored_calibration
-from cucumbervision_greenhouse.store.views import DetectionDetail, DetectionFilter, Verdict
+from cucumbervision_greenhouse.store.records import DetectionDetail, DetectionFilter, Verdict
 from cucumbervision_greenhouse.words import (
     grade_words,
     interval_words,
@@ -42,19 +42,11 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from cucumbervision.capture.frames import Capture
-    from cucumbervision_greenhouse.rounds.fruit_table import RoundFruit
     from cucumbervision_greenhouse.settings import Units
-    from cucumbervision_greenhouse.store.records import (
-        DetectionRecord,
-        JointRecord,
-        MethodRecord,
-    )
-    from cucumbervision_greenhouse.store.views import DetectionSummary, RoundSummary
+    from cucumbervision_greenhouse.store.records import FruitRow, Round
 
 
-def show(
-    round_summary: RoundSummary, graded: GradedRound, key: str, listed: Sequence[DetectionSummary]
-) -> None:
+def show(round_summary: Round, graded: GradedRound, key: str, listed: Sequence[FruitRow]) -> None:
     """Draw a fruit in place of the list; `listed` are the fruit that its filters leave."""
     detail = round_caches.fruit_detail(round_summary, key)
     _head(graded, key, listed)
@@ -65,17 +57,16 @@ def show(
     with right.container():
         _verdict(round_summary, detail)
     line = next(
-        (x for x in round_caches.fruit_of(round_summary) if x.view.group == detail.view.group), None
+        (x for x in round_caches.fruit_of(round_summary) if x.group == detail.view.group), None
     )
-    joint = _joint_of(round_summary, line)
     with picture_side:
-        _pictures(detail, joint)
-    _show_stops(round_summary, detail.view, line, joint)
+        _pictures(detail)
+    _show_stops(round_summary, detail.view, line)
     _methods(detail)
 
 
 def _neighbours(
-    graded: GradedRound, key: str, listed: Sequence[DetectionSummary]
+    graded: GradedRound, key: str, listed: Sequence[FruitRow]
 ) -> tuple[str | None, str | None]:
     """Return the fruit before and after one in the list.
 
@@ -90,7 +81,7 @@ def _neighbours(
     return (keys[index - 1] if index else None), next(iter(keys[index + 1 :]), None)
 
 
-def _head(graded: GradedRound, key: str, listed: Sequence[DetectionSummary]) -> None:
+def _head(graded: GradedRound, key: str, listed: Sequence[FruitRow]) -> None:
     before, after = _neighbours(graded, key, listed)
     unsure = [view.key for view in least_sure_first(graded.fruit)]
     following = unsure.index(key) + 1 if key in unsure else 0
@@ -113,7 +104,7 @@ def _head(graded: GradedRound, key: str, listed: Sequence[DetectionSummary]) -> 
 
 def _figures(graded: GradedRound, detail: DetectionDetail) -> None:
     view_of_key = {view.key: view for view in (*graded.fruit, *graded.deleted)}
-    record, units = view_of_key[detail.view.key].record, resources.settings().units
+    record, units = view_of_key[detail.view.key], resources.settings().units
     graded_fruit = graded.grades[detail.view.key]
     interval = interval_words(record, units, _("Likely between {low} and {high}"))
     st.metric(
@@ -147,7 +138,7 @@ def _figures(graded: GradedRound, detail: DetectionDetail) -> None:
         page_elements.table(figure_lines(record))
 
 
-def _verdict(round_summary: RoundSummary, detail: DetectionDetail) -> None:
+def _verdict(round_summary: Round, detail: DetectionDetail) -> None:
     key, verdict_before, store = detail.view.key, detail.view.verdict, resources.store()
     is_picked = detail.view.picked_s is not None
 
@@ -180,7 +171,7 @@ def _verdict(round_summary: RoundSummary, detail: DetectionDetail) -> None:
         st.code(urljoin(st.context.url or "", address), language=None)
 
 
-def _pictures(detail: DetectionDetail, joint: JointRecord | None) -> None:
+def _pictures(detail: DetectionDetail) -> None:
     try:
         capture = round_caches.capture_of(detail.stop, detail.capture)
     except CucumberVisionError as error:
@@ -189,13 +180,13 @@ def _pictures(detail: DetectionDetail, joint: JointRecord | None) -> None:
     # Thousands of points are sent, and drawn by the tablet, only while somebody looks at them.
     picture_tab, turned = st.tabs([_("Picture"), "3D"], key="fruit_tabs", on_change="rerun")
     with picture_tab:
-        _picture(detail, capture, joint)
+        _picture(detail, capture)
     if turned.open:
         with turned:
-            _cloud(capture, detail.view.record)
+            _cloud(capture, detail.view)
 
 
-def _cloud(capture: Capture, record: DetectionRecord) -> None:
+def _cloud(capture: Capture, record: FruitRow) -> None:
     from cucumbervision_greenhouse.pages.fruit_cloud import CLOUD_HEIGHT_PX, point_cloud
 
     deck = point_cloud(capture, record)
@@ -213,11 +204,10 @@ def _cloud(capture: Capture, record: DetectionRecord) -> None:
     )
 
 
-def _picture(detail: DetectionDetail, capture: Capture, joint: JointRecord | None) -> None:
-    record, units = detail.view.record, resources.settings().units
+def _picture(detail: DetectionDetail, capture: Capture) -> None:
+    record, units = detail.view, resources.settings().units
     depth, words = depth_picture(capture.depth_m, units)
     ruler = st.session_state.get("ruler")
-    tube = None if joint is None else joint_tube(joint, detail.view.key)
     view = detail.view
     adds = st.session_state.get("adds_fruit", False)
     key = f"fruit_{view.key}"
@@ -229,11 +219,11 @@ def _picture(detail: DetectionDetail, capture: Capture, joint: JointRecord | Non
         key,
         {_("Colour"): as_data_url(capture.color), _("Depth"): as_data_url(depth)},
         (capture.width, capture.height),
-        layers=[*fruit_layers(record, capture.intrinsics, tube), *_others(detail)],
+        layers=[*fruit_layers(record, capture.intrinsics), *_others(detail)],
         bar=scale_bar(capture.intrinsics, record.distance_m, units),
         tools=("ruler", "point", "box"),
         ruler_text=ruler or "",
-        title=_("Fruit {number} of {capture}").format(number=record.number, capture=view.capture),
+        title=_("Fruit {number} of {capture}").format(number=record.fruit, capture=view.capture),
         focus_px=(record.box_x1_px, record.box_y1_px, record.box_x2_px, record.box_y2_px),
         place={"stop": view.stop_key, "capture": view.capture, "fruit": view.key},
         adds=adds,
@@ -271,7 +261,7 @@ def _others(detail: DetectionDetail) -> list[dict[str, Any]]:
     return stop_layers(detail.capture, neighbours, names, resources.settings().units)
 
 
-def _of_picture(view: DetectionSummary) -> list[DetectionSummary]:
+def _of_picture(view: FruitRow) -> list[FruitRow]:
     """Return all fruit of the picture that a view is of."""
     only = DetectionFilter(stop_key=view.stop_key)
     return [
@@ -310,18 +300,16 @@ def _outcome(key: str) -> tuple[int | None, str]:
 
 
 def _methods(detail: DetectionDetail) -> None:
-    units, record = resources.settings().units, detail.view.record
+    units, record = resources.settings().units, detail.view
+    lengths_m = {name: getattr(record, f"{name.lower()}_m") for name in AVAILABLE}
     lines = [
         {
-            _("Method"): method.method,
-            _("Length"): units.text(method.length_m),
-            _("Kind"): method.kind or "–",
-            _("Thread"): units.text(method.thread_m),
-            _("Centreline"): units.text(method.centreline_m),
-            _("Chord"): units.text(method.chord_m),
-            _("Remark"): _remark(method, record),
+            _("Method"): name,
+            _("Length"): units.text(length_m),
+            _("Remark"): _("chosen") if name == record.method else "",
         }
-        for method in record.methods
+        for name, length_m in lengths_m.items()
+        if length_m is not None
     ]
     with st.expander(_("All methods"), icon=":material/straighten:"):
         page_elements.table(lines)
@@ -335,35 +323,21 @@ def _methods(detail: DetectionDetail) -> None:
                 st.write(plain(f"{when}, {action.by or _('unnamed')}: {action.kind}{undone}"))
 
 
-def _remark(method: MethodRecord, record: DetectionRecord) -> str:
-    remarks = [
-        _("chosen") if method.method == record.method else "",
-        "" if method.reason == "ok" else method.reason.replace("-", " "),
-        _("measured by {method} instead").format(method=method.measured_by)
-        if method.measured_by
-        else "",
-    ]
-    return ", ".join(filter(None, remarks))
-
-
 def _show_stops(
-    round_summary: RoundSummary,
-    fruit: DetectionSummary,
-    line: RoundFruit | None,
-    joint: JointRecord | None,
+    round_summary: Round,
+    fruit: FruitRow,
+    line: FruitRow | None,
 ) -> None:
     """Draw the views of a fruit, the representative one first; nothing if there is only one.
 
     Parameters
     ----------
-    round_summary : RoundSummary
+    round_summary : Round
         Its round.
-    fruit : DetectionSummary
+    fruit : FruitRow
         Any of its views.
-    line : RoundFruit, optional
+    line : FruitRow, optional
         The fruit with the length by all its views.
-    joint : JointRecord, optional
-        One tube in all of them.
     """
     content, units = round_caches.content_of(round_summary), resources.settings().units
     views = sorted((v for v in content.views if v.group == fruit.group), key=lambda v: not v.best)
@@ -372,29 +346,16 @@ def _show_stops(
     st.markdown(f"**{counted(len(views), 'Seen {n} time', 'Seen {n} times')}**")
     chosen = _("representative") if line is None else _("best view")
 
-    def words(view: DetectionSummary) -> str:
+    def words(view: FruitRow) -> str:
         best = f" · {chosen}" if view.best else ""
-        return f"{step_words(view.step)}: {_length(view.record, units)}{best}"
+        return f"{step_words(view.step)}: {_length(view, units)}{best}"
 
-    page_elements.pictures(views, words, joint=joint)
+    page_elements.pictures(views, words)
     if line is not None:
-        how = _("All that show it whole, together")
-        if joint is not None:
-            how = _("One tube fitted to {n} of these views (pink), which gives the length")
-            how = how.format(n=joint.views)
-        st.caption(f"{how}: {_length(line.view.record, units)}")
+        st.caption(f"{_('All that show it whole, together')}: {_length(line, units)}")
 
 
-def _joint_of(round_summary: RoundSummary, line: RoundFruit | None) -> JointRecord | None:
-    if line is None or line.joint is None:
-        return None
-    try:
-        return round_caches.joint_of(round_summary.key, line.joint.key)
-    except CucumberVisionError:  # merged anew meanwhile
-        return None
-
-
-def _length(record: DetectionRecord, units: Units) -> str:
+def _length(record: FruitRow, units: Units) -> str:
     words = length_words(record, units)
     interval = interval_words(record, units)
     return f"{words} ({interval})" if interval else words

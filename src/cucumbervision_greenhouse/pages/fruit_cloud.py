@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cucumbervision.capture.frames import Capture
-    from cucumbervision_greenhouse.store.records import DetectionRecord
+    from cucumbervision_greenhouse.store.records import FruitRow
 
 _POINTS = 3500
 _RINGS, _RING_POINTS = 16, 20
@@ -28,14 +28,14 @@ _RING_COLOR, _AXIS_COLOR = (86, 180, 233), (255, 255, 255)
 _END_COLOR, _CUT_COLOR = (240, 228, 66), (213, 94, 0)
 
 
-def point_cloud(capture: Capture, record: DetectionRecord) -> pydeck.Deck | None:
+def point_cloud(capture: Capture, record: FruitRow) -> pydeck.Deck | None:
     """Return a fruit's depth points and the fitted tube as a scene that can be rotated.
 
     Parameters
     ----------
     capture : Capture
         The frame.
-    record : DetectionRecord
+    record : FruitRow
         The fruit, with mask and methods.
 
     Returns
@@ -79,7 +79,7 @@ def point_cloud(capture: Capture, record: DetectionRecord) -> pydeck.Deck | None
 
 
 def _fruit_pixels(
-    capture: Capture, record: DetectionRecord
+    capture: Capture, record: FruitRow
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]] | None:
     """Return the pixels with a reading on a fruit, and near it at about its depth."""
     if record.mask is None:
@@ -96,7 +96,7 @@ def _fruit_pixels(
 
 
 def _marked_places(
-    record: DetectionRecord,
+    record: FruitRow,
 ) -> list[tuple[NDArray[np.float64], tuple[int, int, int]]]:
     """Return the two ends and the place to cut, where they are known, each with its colour."""
     places = []
@@ -155,14 +155,13 @@ def _scene(
 
 
 def _tube_lines(
-    record: DetectionRecord,
+    record: FruitRow,
 ) -> list[tuple[NDArray[np.float64], tuple[int, int, int], float]]:
     """Return rings and axis of the fitted tube, each with its colour and width."""
-    tube = next((method for method in record.methods if method.diameter_m), None)
-    if tube is None:
+    if not record.diameter_m:
         return []
-    axis = np.array(tube.path_m, np.float64)
-    rings = _tube_rings(axis, np.array(tube.diameter_m, np.float64))
+    axis = np.array(record.path_m, np.float64)
+    rings = _tube_rings(axis, np.array(record.diameter_m, np.float64))
     return [*((ring, _RING_COLOR, 0.5) for ring in rings), (axis, _AXIS_COLOR, 1.5)]
 
 

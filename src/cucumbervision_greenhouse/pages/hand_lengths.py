@@ -12,19 +12,19 @@ from typing import TYPE_CHECKING, Any
 from cucumbervision.accuracy.own_truth import REPORTED, Measured, Reading
 from cucumbervision.accuracy.truth import Line, Truth, parse_number, read_table, read_truth
 from cucumbervision.errors import TruthError
+from cucumbervision.measurement.methods import AVAILABLE
 from cucumbervision_greenhouse.rounds.from_store import read_round
 from cucumbervision_greenhouse.rounds.fruit_table import fruit_table
 from cucumbervision_greenhouse.settings import replace_text
-from cucumbervision_greenhouse.store.views import Verdict
+from cucumbervision_greenhouse.store.records import Verdict
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from cucumbervision.measurement.result import LengthDefinition
     from cucumbervision_greenhouse.settings import Units
-    from cucumbervision_greenhouse.store.records import DetectionRecord, MethodRecord
+    from cucumbervision_greenhouse.store.records import FruitRow
     from cucumbervision_greenhouse.store.repository import Store
-    from cucumbervision_greenhouse.store.views import DetectionSummary
 
 _SLIP = 2.0  # ratio to the program's length from which a length by hand is questioned
 COLUMNS = ("capture", "fruit", "specimen", "length_1_cm", "length_2_cm", "kind")
@@ -60,14 +60,12 @@ def hand_file(store: str, round_key: str) -> Path:
     return truth_folder(store) / f"{round_key}.csv"
 
 
-def capture_name(view: DetectionSummary) -> str:
+def capture_name(view: FruitRow) -> str:
     """Return a capture's name, unique within a round."""
     return f"{view.stop_key}/{view.capture}"
 
 
-def measured_round(
-    store: Store, round_key: str, methods: Mapping[str, Sequence[MethodRecord]]
-) -> Measured:
+def measured_round(store: Store, round_key: str) -> Measured:
     """Return a round as a run of `measure`, for evaluation and calibration.
 
     Parameters
@@ -76,8 +74,6 @@ def measured_round(
         Where it is.
     round_key : str
         The round.
-    methods : mapping of str to sequence of MethodRecord
-        By fruit key, as `Store.measurements` gives them.
 
     Returns
     -------
@@ -86,10 +82,8 @@ def measured_round(
         report names the cameras, as calibration asks for.
     """
     fruit = [v for v in store.detections(round_key) if v.verdict is not Verdict.REJECTED]
-    table = {line.view.key: line.view for line in fruit_table(read_round(store, round_key))}
-    readings = tuple(
-        _reading(view, table.get(view.key, view), methods.get(view.key, ())) for view in fruit
-    )
+    table = {line.key: line for line in fruit_table(read_round(store, round_key))}
+    readings = tuple(_reading(view, table.get(view.key, view)) for view in fruit)
     captures: list[dict[str, Any]] = []
     report: dict[str, Any] = {"captures": captures}
     for key in dict.fromkeys(view.stop_key for view in fruit):
@@ -126,32 +120,31 @@ def _made_with(artifacts: Sequence[Any]) -> dict[str, Any]:
     return made_with
 
 
-def _reading(
-    view: DetectionSummary, reported: DetectionSummary, methods: Sequence[MethodRecord]
-) -> Reading:
+def _reading(view: FruitRow, reported: FruitRow) -> Reading:
     """Return a find as a reading; what is reported is what all views of the fruit say."""
-    record = view.record
-    lengths = {method.method: method.length_m for method in methods}
-    tube = next((method for method in methods if method.thread_m is not None), None)
-    if tube is not None:
-        lengths |= {"M6 thread": tube.thread_m, "M6 chord": tube.chord_m}
+    lengths = {name: getattr(view, f"{name.lower()}_m") for name in AVAILABLE}
+    measured = {name: length_m for name, length_m in lengths.items() if length_m is not None}
+    # A method that fell back on a simpler one has its length.
+    fell_back = {n for n, x in measured.items() if x in [measured[m] for m in measured if m < n]}
+    if view.thread_m is not None:
+        measured |= {"M6 thread": view.thread_m, "M6 chord": view.chord_m}
     return Reading(
         capture=capture_name(view),
-        fruit=record.number,
-        lengths_m={**lengths, REPORTED: reported.record.length_m},
-        fell_back=frozenset(method.method for method in methods if method.measured_by),
-        kind="" if record.length is None else str(record.length.kind),
-        method=record.method or "",
-        mask_source=record.mask_source or "",
-        distance_m=_or_nan(record.distance_m),
-        fill=_or_nan(record.fill),
-        flags=record.flags,
+        fruit=view.fruit,
+        lengths_m={**measured, REPORTED: reported.length_m},
+        fell_back=frozenset(fell_back),
+        kind="" if view.length is None else str(view.length.kind),
+        method=view.method or "",
+        mask_source=view.mask_source or "",
+        distance_m=_or_nan(view.distance_m),
+        fill=_or_nan(view.fill),
+        flags=view.flags,
     )
 
 
 def write_hand_lengths(
     path: Path,
-    fruit: Sequence[DetectionSummary],
+    fruit: Sequence[FruitRow],
     lengths: Mapping[str, tuple[float | None, float | None]],
     kind: LengthDefinition,
 ) -> int:
@@ -163,7 +156,7 @@ def write_hand_lengths(
     ----------
     path : Path
         The table; replaced in one step.
-    fruit : sequence of DetectionSummary
+    fruit : sequence of FruitRow
         The fruit that could be measured by hand.
     lengths : mapping of str to tuple of float
         By fruit key: the first and second measurement in metres, or None.
@@ -186,14 +179,14 @@ def write_hand_lengths(
         if first is None and second is None:
             continue
         cells = ["" if x is None else f"{100 * x:.2f}" for x in (first, second)]
-        table.writerow([capture_name(view), view.record.number, view.group, *cells, str(kind)])
+        table.writerow([capture_name(view), view.fruit, view.group, *cells, str(kind)])
         written += 1
     replace_text(path, text.getvalue())
     return written
 
 
-def _lines_of_others(path: Path, fruit: Sequence[DetectionSummary]) -> list[list[str]]:
-    keys = {(capture_name(view), str(view.record.number)) for view in fruit}
+def _lines_of_others(path: Path, fruit: Sequence[FruitRow]) -> list[list[str]]:
+    keys = {(capture_name(view), str(view.fruit)) for view in fruit}
     lines = read_table(path, TruthError).lines if path.exists() else ()
     cells = [[line.cells.get(name, "") for name in COLUMNS] for line in lines]
     return [line for line in cells if (line[0], line[1]) not in keys]
@@ -212,14 +205,14 @@ def truth_of(path: Path, measured: Measured) -> Truth:
     return replace(truth, lengths=lengths)
 
 
-def is_odd(record: DetectionRecord, hand_m: float | None) -> bool:
+def is_odd(record: FruitRow, hand_m: float | None) -> bool:
     """Tell whether a length by hand differs so much that it may be a slip: twice, or half.
 
     Examples
     --------
     >>> from cucumbervision.measurement.result import Length
-    >>> from cucumbervision_greenhouse.store.records import DetectionRecord
-    >>> fruit = DetectionRecord(1, length=Length(0.25))
+    >>> from cucumbervision_greenhouse.store.records import FruitRow
+    >>> fruit = FruitRow(1, length=Length(0.25))
     >>> is_odd(fruit, 0.26), is_odd(fruit, 0.75), is_odd(fruit, 0.10), is_odd(fruit, None)
     (False, True, True, False)
     """
@@ -230,7 +223,7 @@ def is_odd(record: DetectionRecord, hand_m: float | None) -> bool:
 
 
 def hand_lengths(
-    path: Path, fruit: Sequence[DetectionSummary]
+    path: Path, fruit: Sequence[FruitRow]
 ) -> dict[str, tuple[float | None, float | None]]:
     """Return the table by fruit key; empty where there is none.
 
@@ -246,7 +239,7 @@ def hand_lengths(
         raise TruthError(
             "has no column {names}", source=path, remedy=_RESTORE, names=", ".join(missing)
         )
-    keys = {(capture_name(view), str(view.record.number)): view.key for view in fruit}
+    keys = {(capture_name(view), str(view.fruit)): view.key for view in fruit}
     lengths: dict[str, tuple[float | None, float | None]] = {}
     for line in table.lines:
         key = keys.get((line.cells["capture"], line.cells["fruit"]))

@@ -27,8 +27,7 @@ if TYPE_CHECKING:
 
     from cucumbervision_greenhouse.agronomy.picking import PickWork
     from cucumbervision_greenhouse.jobs import Job
-    from cucumbervision_greenhouse.store.records import JointRecord
-    from cucumbervision_greenhouse.store.views import DetectionSummary, RoundSummary
+    from cucumbervision_greenhouse.store.records import FruitRow, Round
 
 _PICTURE_PX = 168  # two abreast on a phone
 _NEWS_S = 1.0  # how soon a page shows what another viewer did
@@ -210,16 +209,15 @@ def fruit_list(
 
 
 def pictures(
-    views: Sequence[DetectionSummary],
-    words: Callable[[DetectionSummary], str],
-    act: Callable[[DetectionSummary], None] | None = None,
-    joint: JointRecord | None = None,
+    views: Sequence[FruitRow],
+    words: Callable[[FruitRow], str],
+    act: Callable[[FruitRow], None] | None = None,
 ) -> None:
     """Draw views side by side, each with words and the elements that `act` draws below."""
     with st.container(horizontal=True):
         for view in views:
             with st.container(width=_PICTURE_PX):
-                if (cut := round_caches.cutout_of(view, joint)) is not None:
+                if (cut := round_caches.cutout_of(view)) is not None:
                     st.image(
                         cut,
                         width="stretch",
@@ -248,7 +246,7 @@ def _pages(items: Sequence[Any], size: int) -> int:
     return max(1, -(-len(items) // size))
 
 
-def of_round(draw: Callable[[RoundSummary], None]) -> Callable[[], None]:
+def of_round(draw: Callable[[Round], None]) -> Callable[[], None]:
     """Make a page of a function that draws a round: the round is chosen above it."""
 
     @wraps(draw)

@@ -21,7 +21,7 @@ from cucumbervision_greenhouse.pages.round_choice import label_options
 from cucumbervision_greenhouse.round_tables import GradedRound
 from cucumbervision_greenhouse.rounds.demonstration import is_demonstration
 from cucumbervision_greenhouse.rounds.fruit_table import hanging_lengths_m, on_the_plant
-from cucumbervision_greenhouse.store.views import DetectionFilter, Verdict
+from cucumbervision_greenhouse.store.records import DetectionFilter, Verdict
 from cucumbervision_greenhouse.words import (
     grade_words,
     interval_words,
@@ -36,7 +36,7 @@ from cucumbervision_greenhouse.words import (
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from cucumbervision_greenhouse.store.views import DetectionSummary, RoundSummary
+    from cucumbervision_greenhouse.store.records import FruitRow, Round
 
 _FORMATS = {
     ExportFormat.XLSX: marked("Excel"),
@@ -47,7 +47,7 @@ _FORMATS = {
 }
 
 
-def _files(round_summary: RoundSummary) -> None:
+def _files(round_summary: Round) -> None:
     """Draw the choice of formats, and the link that makes and loads the files."""
     formats = st.pills(
         _("Formats"),
@@ -73,7 +73,7 @@ _VERDICTS = {
 
 
 @page_elements.of_round
-def page(round_summary: RoundSummary) -> None:
+def page(round_summary: Round) -> None:
     """Draw the page."""
     graded = round_caches.graded_round(round_summary)
     groups = round_caches.content_of(round_summary).group_of
@@ -102,7 +102,7 @@ def page(round_summary: RoundSummary) -> None:
             _files(round_summary)
 
 
-def _empty(round_summary: RoundSummary) -> None:
+def _empty(round_summary: Round) -> None:
     if not round_summary.stops and (words := tasks.progress(round_summary.key).first_words):
         st.info(words, icon=":material/hourglass_empty:")
     elif round_summary.stops:
@@ -111,7 +111,7 @@ def _empty(round_summary: RoundSummary) -> None:
         page_elements.first_steps(begun=True)
 
 
-def _classes(round_summary: RoundSummary, graded: GradedRound) -> None:
+def _classes(round_summary: Round, graded: GradedRound) -> None:
     """Say first what a grower asks first: how many of each class, and where the list is."""
     counts = Counter(graded.grades[view.key].label for view in on_the_plant(graded.fruit))
     words = ", ".join(f"{number} {label_words(name)}" for name, number in sorted(counts.items()))
@@ -147,21 +147,21 @@ def _statistics(graded: GradedRound) -> None:
             st.metric(label, value, below, **how)
 
 
-def _with(view: DetectionSummary) -> set[str]:
+def _with(view: FruitRow) -> set[str]:
     """Return which filters of *With* a fruit passes."""
     passed = {
-        marked("a remark"): bool(remarks(view.record, resources.settings().units)),
+        marked("a remark"): bool(remarks(view, resources.settings().units)),
         marked("a redrawn outline"): view.corrected,
         marked("one view, not checked"): view.views == 1 and view.verdict is None,
     }
     return {name for name, passes in passed.items() if passes}
 
 
-_ORDERS: dict[str, Callable[[DetectionSummary], float]] = {
+_ORDERS: dict[str, Callable[[FruitRow], float]] = {
     marked("Walk"): lambda _: 0.0,
-    marked("Longest first"): lambda view: -(view.record.length_m or 0.0),
-    marked("Shortest first"): lambda view: view.record.length_m or math.inf,
-    marked("Least certain first"): lambda view: view.record.score,
+    marked("Longest first"): lambda view: -(view.length_m or 0.0),
+    marked("Shortest first"): lambda view: view.length_m or math.inf,
+    marked("Least certain first"): lambda view: view.score,
 }
 _WALK, _LIST, _PICTURES = next(iter(_ORDERS)), marked("List"), marked("Pictures")
 
@@ -198,7 +198,7 @@ def _filters(graded: GradedRound) -> None:
     )
 
 
-def _listed(graded: GradedRound) -> list[DetectionSummary]:
+def _listed(graded: GradedRound) -> list[FruitRow]:
     """Return the fruit that pass the viewer's filters, in the order that was chosen."""
     chosen = {name: st.session_state.get(f"only_{name}") for name in _FILTERS}
     row, label, verdict, reading_filter = chosen.values()
@@ -213,7 +213,7 @@ def _listed(graded: GradedRound) -> list[DetectionSummary]:
     return sorted(fruit, key=_ORDERS[st.session_state.get("only_order", _WALK)])
 
 
-def _chart(graded: GradedRound, fruit: Sequence[DetectionSummary]) -> None:
+def _chart(graded: GradedRound, fruit: Sequence[FruitRow]) -> None:
     """Draw how long the fruit are, when it is asked for: drawing takes longer than the list."""
     if not any(hanging_lengths_m([view]) for view in fruit):
         return
@@ -228,7 +228,7 @@ def _chart(graded: GradedRound, fruit: Sequence[DetectionSummary]) -> None:
         chart.altair_chart(charts.histogram(lines, units))
 
 
-def _list(graded: GradedRound, fruit: Sequence[DetectionSummary]) -> None:
+def _list(graded: GradedRound, fruit: Sequence[FruitRow]) -> None:
     page_fruit = page_elements.page_of(fruit, "list_page", round_caches.LINES)
     are_pictures = st.session_state.get("only_drawn") == _PICTURES
     picture_of = round_caches.cutout_of if are_pictures else round_caches.thumbnail_of
@@ -240,8 +240,8 @@ def _list(graded: GradedRound, fruit: Sequence[DetectionSummary]) -> None:
     page_elements.choose_page(fruit, "list_page", round_caches.LINES)
 
 
-def _line(graded: GradedRound, view: DetectionSummary) -> dict[str, Any]:
-    units, record = resources.settings().units, view.record
+def _line(graded: GradedRound, view: FruitRow) -> dict[str, Any]:
+    units, record = resources.settings().units, view
     interval = interval_words(record, units)
     position = "" if view.along_m is None else f", {position_words(view.along_m, units)}"
     checked = _(_VERDICTS[view.verdict]), _("corrected") if view.corrected else ""

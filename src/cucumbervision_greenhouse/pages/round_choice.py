@@ -21,7 +21,7 @@ from cucumbervision_greenhouse.words import round_name
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
 
-    from cucumbervision_greenhouse.store.views import RoundSummary
+    from cucumbervision_greenhouse.store.records import Round
 
 
 def label_options(key: str, names: Mapping[Option, str]) -> Callable[[Option], str]:
@@ -55,7 +55,7 @@ _MISSING = "missing_round"
 _BEGINNING, _CHANGING = "beginning_round", "changing_round"
 
 
-def choose_round() -> RoundSummary | None:
+def choose_round() -> Round | None:
     """Draw the choice, and return the open round, or None."""
     rounds = {round_summary.key: round_summary for round_summary in resources.rounds()}
     names = {key: round_name(round_summary) for key, round_summary in rounds.items()}
@@ -110,10 +110,10 @@ def missing_round() -> str:
     return str(st.session_state.get(_MISSING) or "")
 
 
-def _begin(rounds: Collection[RoundSummary]) -> None:
+def _begin(rounds: Collection[Round]) -> None:
     st.text_input(_("Name"), placeholder=_("Morning round"), key="new_name")
     houses = resources.houses(rounds)
-    newest = next((x.record.house for x in rounds), "")
+    newest = next((x.house for x in rounds), "")
     st.session_state.setdefault("new_house", newest)
     # Never a choice that text is typed into: a house that is not picked from it would be lost.
     st.text_input(_("House"), placeholder=_("House 1"), key="new_house")
@@ -152,21 +152,21 @@ def _choose_house() -> None:
     st.session_state["new_house"] = st.session_state["known_house"] or ""
 
 
-def _change(round_summary: RoundSummary | None) -> None:
+def _change(round_summary: Round | None) -> None:
     if fault := st.session_state.pop("round_fault", None):
         st.warning(sentence(fault), icon=":material/error:")
     if round_summary is not None:
         title = _(resources.profile_of(round_summary)[1].title)
         st.caption(plain(_("Crop: {title}").format(title=title)))
-        _forget_old(f"name_{round_summary.key}", round_summary.record.name)
+        _forget_old(f"name_{round_summary.key}", round_summary.name)
         name = st.text_input(
-            _("Name of this round"), round_summary.record.name, key=f"name_{round_summary.key}"
+            _("Name of this round"), round_summary.name, key=f"name_{round_summary.key}"
         )
         st.button(
             _("Rename"),
             width="stretch",
             on_click=_do,
-            args=(partial(_rename, round_summary.record.name), round_summary.key),
+            args=(partial(_rename, round_summary.name), round_summary.key),
             disabled=not name.strip(),
         )
         _house(round_summary)
@@ -195,16 +195,16 @@ def _forget_old(field: str, saved: str) -> None:
     st.session_state[f"{field}_saved"] = saved
 
 
-def _house(round_summary: RoundSummary) -> None:
+def _house(round_summary: Round) -> None:
     """Draw the house of a round: the round moves, or the house gets another name or is merged."""
-    key, house = round_summary.key, round_summary.record.house
+    key, house = round_summary.key, round_summary.house
     _forget_old(f"house_{key}", house)
     typed = " ".join(st.text_input(_("House"), house, key=f"house_{key}").split())
     if typed == house:
         return
     rounds = resources.rounds()
     houses = resources.houses(rounds)
-    of_house = [x.key for x in rounds if x.record.house == house]
+    of_house = [x.key for x in rounds if x.house == house]
     same_name = same_house(typed, [name for name in houses if name != house])
     merged = same_name in houses
     words = _("Rename the house")

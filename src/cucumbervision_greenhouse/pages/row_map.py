@@ -16,17 +16,17 @@ from cucumbervision_greenhouse.pages.page_elements import button, do, draw_undo,
 from cucumbervision_greenhouse.pages.stops import list_stops
 from cucumbervision_greenhouse.round_tables import map_words, row_and_side
 from cucumbervision_greenhouse.rounds.fruit_table import least_sure_first
-from cucumbervision_greenhouse.store.views import Verdict
+from cucumbervision_greenhouse.store.records import Verdict
 
 if TYPE_CHECKING:
     from cucumbervision_greenhouse.round_tables import GradedRound
-    from cucumbervision_greenhouse.store.views import DetectionSummary, RoundSummary
+    from cucumbervision_greenhouse.store.records import FruitRow, Round
 
 _ROWS_AT_ONCE = 4
 
 
 @page_elements.of_round
-def page(round_summary: RoundSummary) -> None:
+def page(round_summary: Round) -> None:
     """Draw the page."""
     maps, undo = st.container(), st.container()
     list_stops(round_summary)  # first, since a stop on a third side prevents drawing the map
@@ -41,7 +41,7 @@ def page(round_summary: RoundSummary) -> None:
         _maps(round_summary, opened)
 
 
-def _maps(round_summary: RoundSummary, opened: DetectionSummary | None) -> None:
+def _maps(round_summary: Round, opened: FruitRow | None) -> None:
     units = resources.settings().units
     graded = round_caches.graded_round(round_summary)
     lines = round_caches.map_lines_of(round_summary, units, language())
@@ -100,7 +100,7 @@ def _maps(round_summary: RoundSummary, opened: DetectionSummary | None) -> None:
 
 
 def _row(
-    round_summary: RoundSummary, row: str, layers: list[dict[str, Any]], content: dict[str, object]
+    round_summary: Round, row: str, layers: list[dict[str, Any]], content: dict[str, object]
 ) -> None:
     """Draw a row's map; a tap opens the fruit beside its mark, where it can be judged."""
     key = f"map_{round_summary.key}_{row}"
@@ -128,7 +128,7 @@ def _row(
         page_elements.leave_for("results", fruit=told.judged["key"])
 
 
-def _answer(graded: GradedRound, fruit: DetectionSummary) -> dict[str, Any]:
+def _answer(graded: GradedRound, fruit: FruitRow) -> dict[str, Any]:
     """Return what is said of a fruit beside its mark."""
     units = resources.settings().units
     verdicts = {
@@ -144,12 +144,12 @@ def _answer(graded: GradedRound, fruit: DetectionSummary) -> dict[str, Any]:
     }
 
 
-def _opened(round_summary: RoundSummary) -> DetectionSummary | None:
+def _opened(round_summary: Round) -> FruitRow | None:
     views = _views_of(round_summary, st.query_params.get("fruit", ""))
     return next((view for view in views if view.best), None)
 
 
-def _views_of(round_summary: RoundSummary, key: str) -> list[DetectionSummary]:
+def _views_of(round_summary: Round, key: str) -> list[FruitRow]:
     """Return all views of the fruit of one of them, as they are in the store now."""
     views = resources.store().detections(round_summary.key)
     groups = {view.group for view in views if view.key == key}

@@ -20,7 +20,7 @@ from cucumbervision_greenhouse.words import side_words, stop_name
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from cucumbervision_greenhouse.store.views import RoundSummary, StopSummary
+    from cucumbervision_greenhouse.store.records import Round, StopRecord
 
 
 # Kinds of action by which others must not take away what is being typed.
@@ -30,7 +30,7 @@ _OF_FRUIT = (
 )
 
 
-def list_stops(round_summary: RoundSummary) -> None:
+def list_stops(round_summary: Round) -> None:
     """Draw the choice of a stop, and the form that corrects it."""
     stops = {stop.key: stop for stop in resources.store().stops(round_summary.key)}
     key = f"stop_of_{round_summary.key}"
@@ -55,13 +55,13 @@ def list_stops(round_summary: RoundSummary) -> None:
             change_stop(stops[chosen], sides_of(stops.values()))
 
 
-def _words(stop: StopSummary) -> str:
+def _words(stop: StopRecord) -> str:
     note = f" ({stop.note})" if stop.note else ""
     name = stop_name(stop, resources.settings().units)
     return f"{name}{note} · {counted(stop.fruit, '{n} fruit', '{n} fruit')}"
 
 
-def change_stop(stop: StopSummary, sides: Sequence[str]) -> None:
+def change_stop(stop: StopRecord, sides: Sequence[str]) -> None:
     """Draw a stop's place and name to be changed; `sides` are those of its round."""
     store = resources.store()
     # Fields of new names after each change of a stop: those on the page keep what was typed.

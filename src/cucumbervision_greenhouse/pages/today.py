@@ -37,11 +37,11 @@ if TYPE_CHECKING:
 
     from cucumbervision_greenhouse.agronomy.picking import Pick
     from cucumbervision_greenhouse.rounds.forecasting import RowPicks, Today
-    from cucumbervision_greenhouse.store.views import RoundSummary
+    from cucumbervision_greenhouse.store.records import Round
 
 
 @page_elements.of_round
-def page(round_summary: RoundSummary) -> None:
+def page(round_summary: Round) -> None:
     """Draw the page."""
     today = round_caches.today_of(round_summary)
     _age(round_summary, today)
@@ -55,7 +55,7 @@ def page(round_summary: RoundSummary) -> None:
     _picks(round_summary, today)
 
 
-def _age(round_summary: RoundSummary, today: Today) -> None:
+def _age(round_summary: Round, today: Today) -> None:
     walked = round_day(round_summary.walked_s)
     if not round_summary.stops:
         return
@@ -90,7 +90,7 @@ def _ago(days: int) -> str:
     ).replace("{n}", str(days))
 
 
-def _next(round_summary: RoundSummary, today: Today) -> None:
+def _next(round_summary: Round, today: Today) -> None:
     """Show what to do next, with a link to the page for it."""
     progress = tasks.progress(round_summary.key)
     steps: list[tuple[str, str, str]] = []
@@ -128,7 +128,7 @@ def _next(round_summary: RoundSummary, today: Today) -> None:
             page_elements.link(target, label)
 
 
-def _ready(round_summary: RoundSummary, today: Today) -> None:
+def _ready(round_summary: Round, today: Today) -> None:
     """Say what is still to be picked, by class and row."""
     today = today.left(_picked(round_summary, today))
     ready, undecided, too_long = (len(today.of(kind)) for kind in PickKind)
@@ -178,7 +178,7 @@ _SAID = {
 }
 
 
-def _picks(round_summary: RoundSummary, today: Today) -> None:
+def _picks(round_summary: Round, today: Today) -> None:
     @st.fragment
     def _draw() -> None:
         picked = _picked(round_summary, today)
@@ -227,14 +227,14 @@ def _is_picked(pick: Pick, picked: set[str]) -> bool:
     return pick.fruit.fruit_id in picked
 
 
-def _picked(round_summary: RoundSummary, today: Today) -> set[str]:
+def _picked(round_summary: Round, today: Today) -> set[str]:
     """Return the keys of the fruit that are picked by now."""
     keys = resources.store().picked(round_summary.key)
     return {today.best.get(key, key) for key in keys}
 
 
 def _lines(
-    round_summary: RoundSummary, picks: Sequence[Pick], picked: set[str], simulated: frozenset[str]
+    round_summary: Round, picks: Sequence[Pick], picked: set[str], simulated: frozenset[str]
 ) -> list[dict[str, Any]]:
     units = resources.settings().units
     views = {view.key: view for view in round_caches.graded_round(round_summary).fruit}
@@ -244,9 +244,9 @@ def _lines(
         view = views.get(key)
         says = [
             f"{position_words(pick.fruit.position_m, units)} {side_words(pick.fruit.side)}".strip(),
-            "" if view is None else length_words(view.record, units),
+            "" if view is None else length_words(view, units),
             pick_words(pick),
-            "" if view is None else height_words(view.record, units),
+            "" if view is None else height_words(view, units),
             _("computer-made") if key in simulated else "",
         ]
         picture = None if view is None else round_caches.thumbnail_of(view)

@@ -22,7 +22,7 @@ from cucumbervision_greenhouse.words import round_day, side_words
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from cucumbervision_greenhouse.store.views import RoundSummary
+    from cucumbervision_greenhouse.store.records import Round
     from cucumbervision_greenhouse.uploads import Upload
 
 _SHOWN = 5  # uploads whose outcomes are shown
@@ -34,7 +34,7 @@ _ENDINGS = [
 
 
 @page_elements.of_round
-def page(round_summary: RoundSummary) -> None:
+def page(round_summary: Round) -> None:
     """Draw the page."""
     st.write(
         _(
@@ -71,7 +71,7 @@ def page(round_summary: RoundSummary) -> None:
         _show(upload)
 
 
-def _place(round_summary: RoundSummary) -> SentPlace:
+def _place(round_summary: Round) -> SentPlace:
     """Draw where the first capture was taken, for files that do not say; it goes on from there.
 
     What was typed stays until it was sent, also in the address for a reload; another row goes on

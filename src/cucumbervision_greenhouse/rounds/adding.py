@@ -277,7 +277,7 @@ def _added(
     if store.stop_is_deleted(item.key) is not None:  # the same capture given twice
         return added
     if not item.keep:
-        refuse_taken(store, item.round_key, *item.place.spot_and_camera)
+        refuse_taken(store, item.place.unmeasured(item.round_key))
     stop = item.place.stop(result, measurer, store.images)
     new = store.save_stop(replace(stop, key=item.key, round_key=item.round_key)) is Saved.NEW
     note = "" if result.error is None else result.error.message

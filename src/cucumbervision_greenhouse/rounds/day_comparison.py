@@ -17,10 +17,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
     from cucumbervision_greenhouse.rounds.from_store import RoundContent
-    from cucumbervision_greenhouse.rounds.fruit_table import RoundFruit
     from cucumbervision_greenhouse.store.links import LinkRecord
+    from cucumbervision_greenhouse.store.records import FruitRow, StopRecord
     from cucumbervision_greenhouse.store.repository import Store
-    from cucumbervision_greenhouse.store.views import DetectionSummary, StopSummary
 
 _REACH_M = 0.5  # along the row: a camera shows the fruit this far from its stop
 
@@ -43,7 +42,7 @@ class FruitChange:
     ----------
     change : Change
         What became of it.
-    before, after : DetectionSummary, optional
+    before, after : FruitRow, optional
         The fruit in the earlier and in the later round; None where that round does not have it.
     days : float
         Time between the two rounds, days.
@@ -52,8 +51,8 @@ class FruitChange:
     """
 
     change: Change
-    before: DetectionSummary | None
-    after: DetectionSummary | None
+    before: FruitRow | None
+    after: FruitRow | None
     days: float
     probability: float = 1.0
 
@@ -78,7 +77,7 @@ class FruitChange:
         """
         if self.before is None or self.after is None:
             return None
-        first, last = self.before.record.whole_length, self.after.record.whole_length
+        first, last = self.before.whole_length, self.after.whole_length
         if first is None or last is None:
             return None
         if first.kind != last.kind or first.kind not in set(LengthDefinition):
@@ -172,27 +171,27 @@ def _counts(changes: Sequence[FruitChange]) -> ChangeCounts:
 
 
 def compare_rounds(
-    earlier: Sequence[RoundFruit],
-    later: Sequence[RoundFruit],
+    earlier: Sequence[FruitRow],
+    later: Sequence[FruitRow],
     same: Mapping[str, tuple[str, float]],
-    stops: tuple[Sequence[StopSummary], Sequence[StopSummary]],
+    stops: tuple[Sequence[StopRecord], Sequence[StopRecord]],
     days: float,
 ) -> DayComparison:
     """Compare two rounds of a house.
 
     Parameters
     ----------
-    earlier, later : sequence of RoundFruit
+    earlier, later : sequence of FruitRow
         Their fruit (`fruit_table`); doubtful ones are left out.
     same : mapping of str to (str, float)
         Fruit of the earlier round by those of the later one, with probabilities (`same_fruit`).
-    stops : pair of sequences of StopSummary
+    stops : pair of sequences of StopRecord
         The stops of both, which say where each of them went.
     days : float
         Time between them, days; above 0.
     """
-    before = {line.view.key: line.view for line in earlier if not line.view.doubtful}
-    after = {line.view.key: line.view for line in later if not line.view.doubtful}
+    before = {line.key: line for line in earlier if not line.doubtful}
+    after = {line.key: line for line in later if not line.doubtful}
     walked_before, walked_after = (_walked_spans(stops_of_round) for stops_of_round in stops)
     changes = []
     for key, view in after.items():
@@ -221,7 +220,7 @@ def _place(fruit: FruitChange) -> tuple[object, ...]:
 _Spans = dict[tuple[str, str], tuple[float, float] | None]
 
 
-def _walked_spans(stops: Iterable[StopSummary]) -> _Spans:
+def _walked_spans(stops: Iterable[StopRecord]) -> _Spans:
     """Return from where to where each side of each row was walked, metres; None if not known."""
     spans: _Spans = {}
     for stop in stops:
@@ -235,7 +234,7 @@ def _walked_spans(stops: Iterable[StopSummary]) -> _Spans:
     return spans
 
 
-def _is_walked(view: DetectionSummary, spans: _Spans) -> bool:
+def _is_walked(view: FruitRow, spans: _Spans) -> bool:
     """Return whether a round with these spans went where a fruit hangs."""
     side = view.row or "", view.side or ""
     if side not in spans:
@@ -243,7 +242,7 @@ def _is_walked(view: DetectionSummary, spans: _Spans) -> bool:
     span = spans[side]
     if span is None or view.along_m is None:
         return True
-    return span[0] - _REACH_M <= view.along_m <= span[1] + _REACH_M
+    return bool(span[0] - _REACH_M <= view.along_m <= span[1] + _REACH_M)
 
 
 def same_fruit(store: Store, contents: Sequence[RoundContent]) -> dict[str, tuple[str, float]]:
@@ -285,7 +284,7 @@ def _probability(link: LinkRecord) -> float:
     return 1.0 if link.by_hand else link.score or 0.0
 
 
-def fruit_days(store: Store, round_key: str, key: str) -> list[DetectionSummary]:
+def fruit_days(store: Store, round_key: str, key: str) -> list[FruitRow]:
     """Return a fruit on every day on which it was seen, the earliest first.
 
     Parameters
@@ -312,9 +311,7 @@ def fruit_days(store: Store, round_key: str, key: str) -> list[DetectionSummary]
     return sorted(views, key=lambda view: view.taken_s)
 
 
-def _fruit_of(
-    store: Store, round_key: str, keys: set[str]
-) -> tuple[DetectionSummary | None, set[str]]:
+def _fruit_of(store: Store, round_key: str, keys: set[str]) -> tuple[FruitRow | None, set[str]]:
     """Return a fruit of a round by any of its views, and the keys of all of them."""
     views = store.detections(round_key)
     groups = {view.group for view in views if view.key in keys}

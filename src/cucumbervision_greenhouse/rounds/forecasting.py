@@ -36,15 +36,13 @@ if TYPE_CHECKING:
     from cucumbervision.measurement.result import Length
     from cucumbervision_greenhouse.agronomy.forecast import Forecast
     from cucumbervision_greenhouse.rounds.from_store import RoundContent
-    from cucumbervision_greenhouse.rounds.fruit_table import RoundFruit
-    from cucumbervision_greenhouse.store.records import ArtifactRecord
+    from cucumbervision_greenhouse.store.records import ArtifactRecord, FruitRow, Round
     from cucumbervision_greenhouse.store.repository import Store
-    from cucumbervision_greenhouse.store.views import DetectionSummary, RoundSummary
 
 
-def detection_rates(table: Sequence[RoundFruit]) -> DetectionRates:
+def detection_rates(table: Sequence[FruitRow]) -> DetectionRates:
     """Return the share of a round's fruit that have a length: the others are as good as missed."""
-    hanging = [line.view.record.known_length for line in table if line.view.picked_s is None]
+    hanging = [line.known_length for line in table if line.picked_s is None]
     measured = sum(length is not None for length in hanging)
     return DetectionRates(measured / len(hanging) if measured else 1.0)
 
@@ -81,7 +79,7 @@ def shared_scale_sd(artifacts: Iterable[Sequence[ArtifactRecord]]) -> float:
 
 
 def fruit_states(
-    table: Sequence[RoundFruit],
+    table: Sequence[FruitRow],
     day: float,
     profile: CropProfile,
     picked_before_s: float = math.inf,
@@ -91,12 +89,12 @@ def fruit_states(
     Fruit that were picked at `picked_before_s` or later count as hanging.
     """
     states = []
-    for view in (line.view for line in table):
-        length = view.record.known_length
+    for view in (line for line in table):
+        length = view.known_length
         if view.doubtful or length is None or not length.value_m > 0:
             continue
         length_m, sd_m = _median_and_sd(length)
-        graded = grade(view.record, profile)
+        graded = grade(view, profile)
         states.append(
             FruitState(
                 fruit_id=view.key,
@@ -109,7 +107,7 @@ def fruit_states(
                 best_class=graded.best_class,
                 picked=view.picked_s is not None and view.picked_s < picked_before_s,
                 possible=graded.possible,
-                at_least=view.record.at_least,
+                at_least=view.at_least,
             )
         )
     return states
@@ -163,7 +161,7 @@ def growth_links(store: Store, round_key: str, content: RoundContent | None = No
             for key in rounds[home].same_fruit(link.first):
                 names.setdefault(key, name)
             first, last = rounds[home].fruit(link.first), rounds[later].fruit(link.second)
-            before_m, after_m = first.record.whole_length, last.record.whole_length
+            before_m, after_m = first.whole_length, last.whole_length
             if before_m is not None and after_m is not None and days[home] < days[later]:
                 ends = *_median_and_sd(before_m), days[later], *_median_and_sd(after_m)
                 links.append(Link(name, last.row or "", days[home], *ends))
@@ -191,10 +189,10 @@ class _Measured:
         return self._groups[self.views[key].group]
 
     @cached_property
-    def _table(self) -> dict[str, DetectionSummary]:
-        return {line.view.group: line.view for line in fruit_table(self._content)}
+    def _table(self) -> dict[str, FruitRow]:
+        return {line.group: line for line in fruit_table(self._content)}
 
-    def fruit(self, key: str) -> DetectionSummary:
+    def fruit(self, key: str) -> FruitRow:
         """Return the fruit of a view; where it was rejected, its best view."""
         group = self.views[key].group
         return self._table.get(group) or self.views.get(group, self.views[key])
@@ -308,7 +306,7 @@ def age_of(walked_s: float, now_s: float) -> tuple[int, Age]:
 
 def forecast_today(
     store: Store,
-    round_summary: RoundSummary,
+    round_summary: Round,
     profile: CropProfile,
     now_s: float,
     content: RoundContent | None = None,
@@ -394,7 +392,7 @@ def _as_today(counts: Counts, standing: Counts, picked: NDArray[np.bool_]) -> Co
     return Counts(*values)
 
 
-def day_0_s(round_summary: RoundSummary, now_s: float) -> float:
+def day_0_s(round_summary: Round, now_s: float) -> float:
     """Return day 0 of a round's forecast, seconds since 1970: today unless it is too old."""
     days, age = age_of(round_summary.walked_s, now_s)
     # Without a zone: the same time of day, also beyond the day on which the clocks change.
@@ -411,7 +409,7 @@ def date_after(at_s: float, days: int) -> datetime.date:
 
 def read_today(
     store: Store,
-    round_summary: RoundSummary,
+    round_summary: Round,
     profile: CropProfile,
     now_s: float,
     content: RoundContent | None = None,
@@ -422,7 +420,7 @@ def read_today(
     ----------
     store : Store
         Where it is.
-    round_summary : RoundSummary
+    round_summary : Round
         The round.
     profile : CropProfile
         Its classes, and the growth that is expected.

@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from cucumbervision.errors import RoundError
-from cucumbervision.measurement.flags import NO_DEPTH
 from cucumbervision.measurement.matching import ALONG, DEPTH, UP
-from cucumbervision.measurement.result import UNKNOWN_SD, LengthDefinition, MethodName
+from cucumbervision.measurement.result import UNKNOWN_SD, LengthDefinition
 from cucumbervision_greenhouse.rounds.merge import NO_PAIRS, ByHand, Merged, cluster_pairs
 from cucumbervision_greenhouse.rounds.poses import MIDDLE_SD_M, offset_of, stored_pose
 from cucumbervision_greenhouse.rounds.row_views import RowStops, RowViews
 from cucumbervision_greenhouse.rounds.stop_alignment import prior_stops
 from cucumbervision_greenhouse.store.links import LinkKind
-from cucumbervision_greenhouse.store.records import key_of
-from cucumbervision_greenhouse.store.views import Verdict
+from cucumbervision_greenhouse.store.records import Verdict
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -28,20 +26,17 @@ if TYPE_CHECKING:
 
     from cucumbervision_greenhouse.rounds.row_views import Ints
     from cucumbervision_greenhouse.store.links import LinkRecord
-    from cucumbervision_greenhouse.store.records import DetectionRecord, JointRecord
-    from cucumbervision_greenhouse.store.repository import Store
-    from cucumbervision_greenhouse.store.views import (
-        CameraAt,
-        DetectionSummary,
-        RoundSummary,
-        StopSummary,
+    from cucumbervision_greenhouse.store.records import (
+        FruitRow,
+        Round,
+        StopRecord,
     )
+    from cucumbervision_greenhouse.store.repository import Store
 
 _CAMERA_SD_M = 0.03  # standard deviation of a camera from its usual height and distance
 _USUAL_REACH = (0.687, 0.384)  # a D435's colour camera, for stops without a stored camera
 _LEAST_SD = 0.01  # of a length, relative
 _DIAMETER_SD = 0.05
-_MOST_VIEWS = 5  # of one fruit: each further view costs more time than it adds
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,21 +80,15 @@ class RoundContent:
     ----------
     key : str
         The round's.
-    stops : tuple of StopSummary
+    stops : tuple of StopRecord
         Its stops.
-    views : tuple of DetectionSummary
+    views : tuple of FruitRow
         Its detections, in groups.
-    cameras : mapping
-        Poses and cameras by the stops' keys.
-    joint : mapping of str to JointRecord
-        Joint measurements of the fruit, by the keys of `joint_groups`.
     """
 
     key: str
-    stops: tuple[StopSummary, ...]
-    views: tuple[DetectionSummary, ...]
-    cameras: Mapping[str, CameraAt]
-    joint: Mapping[str, JointRecord] = field(default_factory=dict)
+    stops: tuple[StopRecord, ...]
+    views: tuple[FruitRow, ...]
 
     @cached_property
     def rows(self) -> tuple[StoredRow, ...]:
@@ -107,7 +96,7 @@ class RoundContent:
         return tuple(_load_rows(self))
 
     @cached_property
-    def stop_of(self) -> Mapping[str, StopSummary]:
+    def stop_of(self) -> Mapping[str, StopRecord]:
         """Its stops by key."""
         return {stop.key: stop for stop in self.stops}
 
@@ -117,7 +106,7 @@ class RoundContent:
         return {view.key: view.group for view in self.views}
 
 
-def find_round(store: Store, name: str = "") -> RoundSummary:
+def find_round(store: Store, name: str = "") -> Round:
     """Find a round by its key, the start of it, or its name; the newest without one.
 
     Raises
@@ -130,7 +119,7 @@ def find_round(store: Store, name: str = "") -> RoundSummary:
     named = [
         round_summary
         for round_summary in rounds
-        if round_summary.record.name == name or round_summary.key == name_or_key
+        if round_summary.name == name or round_summary.key == name_or_key
     ]
     # A short number is never the start of a key: it may be a mistyped name.
     is_start = not name_or_key.isdecimal() or len(name_or_key) > 5
@@ -155,56 +144,13 @@ def read_round(store: Store, round_key: str) -> RoundContent:
     StoreError
         If it is not there.
     """
-    stops, views = store.stops(round_key), store.detections(round_key)
-    cameras = store.cameras(round_key)
-    stops = [stop for stop in stops if stop.key in cameras]  # a stop may be deleted meanwhile
-    return RoundContent(
-        key=round_key,
-        stops=tuple(stops),
-        views=tuple(views),
-        cameras=cameras,
-        joint=store.joint(round_key),
-    )
+    views = store.detections(round_key)  # first: a stop may be saved meanwhile
+    return RoundContent(round_key, tuple(store.stops(round_key)), tuple(views))
 
 
-def counted_fruit(views: Iterable[DetectionSummary]) -> list[DetectionSummary]:
+def counted_fruit(views: Iterable[FruitRow]) -> list[FruitRow]:
     """Return the fruit of a round, each by its representative view; rejected ones are left out."""
     return [view for view in views if view.best and view.verdict is not Verdict.REJECTED]
-
-
-def joint_groups(content: RoundContent) -> dict[str, list[DetectionSummary]]:
-    """Return the views of each fruit that several stops show, by the key of their measurement.
-
-    Only views that M6 measured count, and whose depth can be their distance, of the aisle from
-    which the best was taken, the best first and no more than five.
-    """
-    stops, groups = content.stop_of, defaultdict(list)
-    for view in content.views:
-        has_depth = NO_DEPTH.isdisjoint(view.record.flags.split())
-        is_measured = has_depth and view.record.method == MethodName.M6
-        if is_measured and view.verdict is not Verdict.REJECTED:
-            groups[view.group].append(view)
-    group_views = {}
-    for views in groups.values():
-        views.sort(key=lambda view: (not view.best, -view.record.view_score, view.key))
-        same_side = [
-            view for view in views if view.side == views[0].side and view.stop_key in stops
-        ]
-        same_side = same_side[:_MOST_VIEWS]
-        if len({view.stop_key for view in same_side}) > 1:
-            group_views[_key(same_side, stops)] = same_side
-    return group_views
-
-
-def _key(views: Iterable[DetectionSummary], stops: Mapping[str, StopSummary]) -> str:
-    return key_of(
-        "joint",
-        *sorted(
-            f"{view.key} {view.record.length_m} {view.record.mask_px} "
-            f"{stops[view.stop_key].position_m}"
-            for view in views
-        ),
-    )
 
 
 def _load_rows(content: RoundContent) -> Iterator[StoredRow]:
@@ -215,16 +161,16 @@ def _load_rows(content: RoundContent) -> Iterator[StoredRow]:
     RoundError
         If a row has more than two sides.
     """
-    stops: dict[str, list[StopSummary]] = defaultdict(list)
+    stops: dict[str, list[StopRecord]] = defaultdict(list)
     for stop in content.stops:
         stops[stop.row or ""].append(stop)
-    views: dict[str, list[DetectionSummary]] = defaultdict(list)
+    views: dict[str, list[FruitRow]] = defaultdict(list)
     for view in content.views:
         # A stop may be saved meanwhile.
         if view.verdict is not Verdict.REJECTED and view.stop_key in content.stop_of:
             views[view.row or ""].append(view)
     for name in sorted(stops):
-        yield _row(name, stops[name], views[name], content)
+        yield _row(name, stops[name], views[name])
 
 
 def _reach(camera: Mapping[str, Any]) -> tuple[float, float]:
@@ -237,11 +183,9 @@ def _reach(camera: Mapping[str, Any]) -> tuple[float, float]:
 
 def _row(
     name: str,
-    stops: Sequence[StopSummary],
-    fruit: Sequence[DetectionSummary],
-    content: RoundContent,
+    stops: Sequence[StopRecord],
+    fruit: Sequence[FruitRow],
 ) -> StoredRow:
-    cameras = content.cameras
     sides = tuple(sorted({stop.side or "" for stop in stops}))
     if len(sides) > 2:
         raise RoundError(
@@ -253,16 +197,16 @@ def _row(
         )
     placed = [stop for stop in stops if stop.position_m is not None]
     index = {stop.key: k for k, stop in enumerate(placed)}
-    poses = {stop.key: stored_pose(cameras[stop.key].pose, stop.side) for stop in stops}
-    offsets = [(view, offset_of(view.record, poses[view.stop_key])) for view in fruit]
+    poses = {stop.key: stored_pose(stop.pose_now, stop.side) for stop in stops}
+    offsets = [(view, offset_of(view, poses[view.stop_key])) for view in fruit]
     places = [
         (view, place) for view, place in offsets if view.stop_key in index and place is not None
     ]
-    row_stops = _row_stops(placed, sides, poses, cameras)
+    row_stops = _row_stops(placed, sides, poses)
     return StoredRow(
         name=name,
         stops=row_stops,
-        views=_row_views(places, index, row_stops.side, cameras),
+        views=_row_views(places, index, row_stops.side),
         stop_keys=tuple(index),
         fruit_keys=tuple(view.key for view, _ in places),
         sides=sides,
@@ -271,10 +215,9 @@ def _row(
 
 
 def _row_stops(
-    stops: Sequence[StopSummary],
+    stops: Sequence[StopRecord],
     sides: tuple[str, ...],
     poses: Mapping[str, NDArray[np.float64]],
-    cameras: Mapping[str, CameraAt],
 ) -> RowStops:
     """Return stops with a position as arrays; a stop's pose gives the camera's height."""
     at_m, sd_m = np.zeros((len(stops), 3)), np.full((len(stops), 3), _CAMERA_SD_M)
@@ -282,43 +225,42 @@ def _row_stops(
     at_m[:, UP] = [poses[stop.key][UP, 3] for stop in stops]
     sd_m[:, ALONG] = [stop.position_sd_m or MIDDLE_SD_M for stop in stops]
     side = np.array([sides.index(stop.side or "") for stop in stops], np.int64)
-    reach = np.array([_reach(cameras[stop.key].camera) for stop in stops]).reshape(-1, 2)
+    reach = np.array([_reach(stop.camera) for stop in stops]).reshape(-1, 2)
     return RowStops(at_m, sd_m, side, reach)
 
 
 def _row_views(
-    places: Sequence[tuple[DetectionSummary, tuple[NDArray[np.float64], NDArray[np.float64]]]],
+    places: Sequence[tuple[FruitRow, tuple[NDArray[np.float64], NDArray[np.float64]]]],
     index: Mapping[str, int],
     side: Ints,
-    cameras: Mapping[str, CameraAt],
 ) -> RowViews:
     """Return views with their offsets as arrays; `index` and `side` are of the row's stops."""
     views = [view for view, _ in places]
     at_stop = np.array([index[view.stop_key] for view in views], np.int64)
-    records = [view.record for view in views]
+    captures = {place: k for k, place in enumerate({(v.stop_key, v.capture): 0 for v in views})}
     offset, offset_sd = (
         np.array([place for _, place in places], np.float64).reshape(-1, 2, 3).transpose(1, 0, 2)
     )
     offset[:, DEPTH] *= np.where(side[at_stop] == 1, -1.0, 1.0)
-    length = np.array([_length(record) for record in records], np.float64).reshape(-1, 2)
+    length = np.array([_length(view) for view in views], np.float64).reshape(-1, 2)
     return RowViews(
         stop=at_stop,
-        capture=np.array([cameras[v.stop_key].captures[v.capture] for v in views], np.int64),
+        capture=np.array([captures[v.stop_key, v.capture] for v in views], np.int64),
         offset_m=offset,
         offset_sd_m=offset_sd,
         length_m=length[:, 0],
         length_sd=length[:, 1],
-        diameter_m=np.array([record.diameter_max_m or np.nan for record in records], np.float64),
+        diameter_m=np.array([view.diameter_max_m or np.nan for view in views], np.float64),
         diameter_sd=np.full(len(views), _DIAMETER_SD),
-        partial=np.array([record.partial for record in records], bool),
-        score=np.array([record.score for record in records], np.float64),
-        view_score=np.array([record.view_score for record in records], np.float64),
+        partial=np.array([view.partial for view in views], bool),
+        score=np.array([view.score for view in views], np.float64),
+        view_score=np.array([view.view_score for view in views], np.float64),
     )
 
 
-def _length(record: DetectionRecord) -> tuple[float, float]:
+def _length(view: FruitRow) -> tuple[float, float]:
     """Return the length, NaN where nothing is known of it, and its relative SD."""
-    length = record.known_length
+    length = view.known_length
     if length is None or not length.value_m > 0:
         return np.nan, UNKNOWN_SD
     # Lengths of another kind may differ by more than any of them errs.

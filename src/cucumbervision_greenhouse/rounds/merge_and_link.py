@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
@@ -28,8 +28,8 @@ from cucumbervision_greenhouse.rounds.poses import sign_of_side
 from cucumbervision_greenhouse.rounds.row_fruit import row_fruit
 from cucumbervision_greenhouse.rounds.stop_alignment import prior_stops
 from cucumbervision_greenhouse.rounds.walking import refuse_taken
-from cucumbervision_greenhouse.store.corrections import MOVE_ROUND, STOP_EDITS, StopPlace
 from cucumbervision_greenhouse.store.links import LinkKind, LinkRecord, Position
+from cucumbervision_greenhouse.store.marks import MOVE_ROUND, STOP_EDITS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -37,8 +37,8 @@ if TYPE_CHECKING:
     from cucumbervision.agronomy.profiles import CropProfile
     from cucumbervision.capture.frames import Stop
     from cucumbervision_greenhouse.rounds.from_store import StoredRow
+    from cucumbervision_greenhouse.store.records import Round, StopRecord
     from cucumbervision_greenhouse.store.repository import Store
-    from cucumbervision_greenhouse.store.views import RoundSummary, StopSummary
     from cucumbervision_greenhouse.store.waiting import WaitingCaptures
 
 
@@ -190,12 +190,20 @@ def link_rounds(
     Raises
     ------
     RoundError
-        If one of them is not there, or the later does not come later.
+        If one of them is not there, they are of two houses, or the later does not come later.
     """
-    walked = {round_summary.key: round_summary.walked_s for round_summary in store.rounds()}
-    if gone := {earlier, later} - walked.keys():
+    rounds = {walk.key: walk for walk in store.rounds()}
+    if gone := {earlier, later} - rounds.keys():
         raise RoundError("there is no round {key}", remedy="see the list of rounds", key=min(gone))
-    days = (walked[later] - walked[earlier]) / DAY_S
+    houses = [rounds[key].house for key in (earlier, later)]
+    if house_key(houses[0]) != house_key(houses[1]):
+        raise RoundError(
+            "the rounds are of two houses, '{first}' and '{second}'",
+            remedy="name two rounds of one house, or move one of them",
+            first=houses[0],
+            second=houses[1],
+        )
+    days = (rounds[later].walked_s - rounds[earlier].walked_s) / DAY_S
     if not days > 0:
         raise RoundError(
             "the later round was walked no later, by the times of its captures",
@@ -269,8 +277,8 @@ def settle(store: Store, round_key: str, profile: CropProfile | None = None) -> 
     return ""
 
 
-def move_stop(store: Store, stop: StopSummary, place: Stop, note: str = "") -> int:
-    """Correct the place of a stop; return the number of the correction in the log.
+def move_stop(store: Store, stop: StopRecord, place: Stop, note: str = "") -> int:
+    """Correct the place of a stop; return the number of the mark in the log.
 
     Where the side changes, what lay to the left of the camera lies to the right of it.
 
@@ -281,20 +289,11 @@ def move_stop(store: Store, stop: StopSummary, place: Stop, note: str = "") -> i
     StoreConflictError
         If it is not where `stop` says any more.
     """
-    if (place.row, place.side, place.position_m) != (stop.row, stop.side, stop.position_m):
-        camera = store.cameras(stop.round_key)[stop.key]
-        refuse_taken(store, stop.round_key, place, camera, but=stop.key)
     turned = sign_of_side(place.side) != sign_of_side(stop.side)
-    where = StopPlace(
-        row=place.row,
-        side=place.side,
-        position_m=place.position_m,
-        step=place.step,
-        note=note,
-        mirrored=stop.mirrored != turned,
-    )
-    seen = StopPlace(stop.row, stop.side, stop.position_m, stop.step, stop.note, stop.mirrored)
-    return store.place_stop(stop.key, where, seen)
+    moved = replace(stop, **asdict(place), note=note, mirrored=stop.mirrored != turned)
+    if (moved.row, moved.side, moved.position_m) != (stop.row, stop.side, stop.position_m):
+        refuse_taken(store, moved)
+    return store.place_stop(moved, stop)
 
 
 def delete_round(store: Store, round_key: str, waiting: WaitingCaptures) -> list[str]:
@@ -364,9 +363,7 @@ def undo(store: Store, round_key: str | None = None, *, number: int | None = Non
     return [line.round_key] if line.round_key and line.details["kind"] in STOP_EDITS else []
 
 
-def _to_settle(
-    keys: Sequence[str], before: list[RoundSummary], after: list[RoundSummary]
-) -> list[str]:
+def _to_settle(keys: Sequence[str], before: list[Round], after: list[Round]) -> list[str]:
     """Return rounds that moved, with those that follow on them, before and after they did."""
     following = [
         later.key for rounds in (before, after) for key in keys for later in _later(rounds, key)[:1]
@@ -374,16 +371,16 @@ def _to_settle(
     return list(dict.fromkeys([*keys, *following]))
 
 
-def earlier_round(store: Store, round_key: str) -> RoundSummary | None:
+def earlier_round(store: Store, round_key: str) -> Round | None:
     """Return the last round of the same house of an earlier day; None where there is none.
 
-    Days are those of the captures (`RoundSummary.walked_s`), whenever a round was begun.
+    Days are those of the captures (`Round.walked_s`), whenever a round was begun.
     """
     before = earlier_rounds(store, round_key, within_s=_FARTHEST_S)
     return before[0] if before else None
 
 
-def earlier_rounds(store: Store, round_key: str, within_s: float = math.inf) -> list[RoundSummary]:
+def earlier_rounds(store: Store, round_key: str, within_s: float = math.inf) -> list[Round]:
     """Return the rounds of the same house of earlier days, the nearest first.
 
     Parameters
@@ -399,21 +396,19 @@ def earlier_rounds(store: Store, round_key: str, within_s: float = math.inf) -> 
     return [x for x in same_house if _SAME_DAY_S < current.walked_s - x.walked_s < within_s]
 
 
-def later_rounds(store: Store, round_key: str) -> list[RoundSummary]:
+def later_rounds(store: Store, round_key: str) -> list[Round]:
     """Return the rounds of the same house of later days, the nearest first."""
     return _later(store.rounds(), round_key)
 
 
-def _later(rounds: list[RoundSummary], round_key: str) -> list[RoundSummary]:
+def _later(rounds: list[Round], round_key: str) -> list[Round]:
     current, same_house = _neighbours(rounds, round_key)
     return [
         x for x in same_house[::-1] if _SAME_DAY_S < x.walked_s - current.walked_s < _FARTHEST_S
     ]
 
 
-def _neighbours(
-    rounds: list[RoundSummary], round_key: str
-) -> tuple[RoundSummary, list[RoundSummary]]:
+def _neighbours(rounds: list[Round], round_key: str) -> tuple[Round, list[Round]]:
     """Return a round, and the others of its house that hold fruit, the one walked last first.
 
     The demonstration is in no house, so that it is never a day of one without a name.
@@ -422,9 +417,9 @@ def _neighbours(
     current = next((x for x in rounds if x.key == round_key), None)
     if current is None:
         raise RoundError("there is no round {key}", remedy="see the list of rounds", key=round_key)
-    house = house_key(current.record.house)
+    house = house_key(current.house)
     example = is_demonstration(round_key)
     different = (
         x for x in rounds if x.key != round_key and x.fruit and is_demonstration(x.key) == example
     )
-    return current, [x for x in different if house_key(x.record.house) == house]
+    return current, [x for x in different if house_key(x.house) == house]

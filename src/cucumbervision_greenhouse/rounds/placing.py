@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,7 +19,7 @@ from cucumbervision_greenhouse.rounds.poses import (
     sign_of_side,
 )
 from cucumbervision_greenhouse.rounds.stop_records import stop_record
-from cucumbervision_greenhouse.store.views import CameraAt
+from cucumbervision_greenhouse.store.records import CaptureRecord, StopRecord
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
     from cucumbervision.pipeline.measurer import CaptureResult
     from cucumbervision_greenhouse.store.images import ImageStore
-    from cucumbervision_greenhouse.store.records import StopRecord
 
 
 _POSE_COLUMNS = ("height_m", "yaw_deg", "pitch_deg", "roll_deg")
@@ -122,11 +121,12 @@ class Placed:
         spot = Stop(row, side, position, step)
         return cls(replace(capture, stop=spot), None if position is None else sd, pose)
 
-    @property
-    def spot_and_camera(self) -> tuple[Stop, CameraAt]:
-        """Place and source of the capture, as its stop will contain them."""
+    def unmeasured(self, round_key: str) -> StopRecord:
+        """Return the stop of this capture as far as it is known before it is measured."""
         camera = CameraModel.of(self.capture.intrinsics).model_dump(mode="json")
-        return self.capture.stop, CameraAt(self.pose.ravel().tolist(), {}, camera)
+        captures = (CaptureRecord(self.capture.name, camera=camera),)
+        pose = tuple(self.pose.ravel().tolist())
+        return StopRecord("", round_key, **asdict(self.capture.stop), pose=pose, captures=captures)
 
     def stop(
         self, result: CaptureResult, measurer: Measurer, images: ImageStore | None

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from cucumbervision_greenhouse.store.records import DetectionRecord, StopRecord
+    from cucumbervision_greenhouse.store.records import FruitRow, StopRecord
 
 MIDDLE_SD_M = 0.03  # how well an operator knows where along the row a stop is
 
@@ -192,7 +192,7 @@ _TURN_SD = 0.02  # radians: how far a camera is turned off its pose
 
 
 def offset_of(
-    fruit: DetectionRecord, pose: NDArray[np.float64]
+    fruit: FruitRow, pose: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
     """Return how far a fruit is from its camera along the row, upwards and into the row.
 
@@ -200,7 +200,7 @@ def offset_of(
 
     Parameters
     ----------
-    fruit : DetectionRecord
+    fruit : FruitRow
         With its middle in camera coordinates: right, down, away.
     pose : ndarray of float64, shape (4, 4)
         As `pose_matrix` gives it.
@@ -212,11 +212,11 @@ def offset_of(
 
     Examples
     --------
-    >>> from cucumbervision_greenhouse.store.records import DetectionRecord
+    >>> from cucumbervision_greenhouse.store.records import FruitRow
     >>> from cucumbervision.measurement.result import Length
     >>> middle = {"centre_x_m": 0.2, "centre_y_m": 0.1, "centre_z_m": 0.7}
     >>> middle |= {"diameter_max_m": 0.04, "hidden_share": 0.5}
-    >>> cut = DetectionRecord(1, length=Length(0.3), **middle)
+    >>> cut = FruitRow(1, length=Length(0.3), **middle)
     >>> [part.round(3).tolist() for part in offset_of(cut, pose_matrix(3.0, -1))]
     [[-0.2, -0.1, 0.7], [0.005, 0.045, 0.006]]
     """
@@ -233,13 +233,13 @@ def offset_of(
     return offset, np.array([across, up, depth])
 
 
-def placed_fruit(fruit: DetectionRecord, pose: NDArray[np.float64]) -> DetectionRecord:
+def placed_fruit(fruit: FruitRow, pose: NDArray[np.float64]) -> FruitRow:
     """Return a fruit with its offset along the row from the camera's pose.
 
     Examples
     --------
-    >>> from cucumbervision_greenhouse.store.records import DetectionRecord
-    >>> fruit = DetectionRecord(1, centre_x_m=0.1, centre_y_m=0.0, centre_z_m=0.7)
+    >>> from cucumbervision_greenhouse.store.records import FruitRow
+    >>> fruit = FruitRow(1, centre_x_m=0.1, centre_y_m=0.0, centre_z_m=0.7)
     >>> placed_fruit(fruit, pose_matrix(2.0, -1)).offset_m
     -0.1
     """
@@ -247,7 +247,7 @@ def placed_fruit(fruit: DetectionRecord, pose: NDArray[np.float64]) -> Detection
     if offset is None:
         return fruit
     offset_m, sd_m = (round(float(values[0]), 5) for values in offset)
-    return replace(fruit, offset_m=offset_m, offset_sd_m=sd_m)
+    return fruit.with_(offset_m=offset_m, offset_sd_m=sd_m)
 
 
 def placed_stop(stop: StopRecord, pose: NDArray[np.float64]) -> StopRecord:

@@ -32,16 +32,15 @@ if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
     from cucumbervision.pipeline.measurer import CaptureResult
     from cucumbervision.pipeline.options import MeasureOptions
-    from cucumbervision_greenhouse.store.records import CaptureRecord, StopRecord
+    from cucumbervision_greenhouse.store.records import CaptureRecord, Round, StopRecord
     from cucumbervision_greenhouse.store.repository import Store
-    from cucumbervision_greenhouse.store.views import RoundSummary
 
 _SAME_BOX = 0.5  # intersection over union
 
 
 def measure_round_again(
     store: Store,
-    old: RoundSummary,
+    old: Round,
     options: MeasureOptions,
     report: Callable[[int, int], None] | None = None,
     loop: LoopOptions | None = None,
@@ -55,7 +54,7 @@ def measure_round_again(
     ----------
     store : Store
         Where the round is.
-    old : RoundSummary
+    old : Round
         The round.
     options : MeasureOptions
         How to measure.
@@ -72,7 +71,7 @@ def measure_round_again(
         Why.
     """
     measurer, loop = Measurer(options), loop or LoopOptions()
-    new, failures = replace(old.record, key=new_key()), list[Failure]()
+    new, failures = replace(old, key=new_key(), stops=0, fruit=0, last_s=None), list[Failure]()
     stops = {view.key: store.stop(view.key) for view in store.stops(old.key)}
 
     def items() -> Iterator[Listed]:
@@ -93,12 +92,10 @@ def measure_round_again(
             report(len(again), len(stops))
     if failures or len(again) < len(stops):
         return old.key, failures
-    with Boundary(failures, store.name, old.record.name or old.key):
-        cameras = store.cameras(old.key)
+    with Boundary(failures, store.name, old.name or old.key):
         store.save_round(new)
         for key, stop in stops.items():
-            placed = replace(stop, pose=tuple(cameras[key].pose))
-            _save_again(store, new.key, placed, again[key], measurer)
+            _save_again(store, new.key, stop, again[key], measurer)
         store.delete_round(old.key)
     return (old.key if failures else new.key), failures
 
@@ -126,7 +123,9 @@ def _save_again(
     store: Store, round_key: str, stop: StopRecord, results: list[CaptureResult], measurer: Measurer
 ) -> None:
     """Save a stop of the new round, at its place, with what people decided about its fruit."""
-    views = [view for view in store.detections(stop.round_key) if view.stop_key == stop.key]
+    views = [
+        view for view in store.detections(stop.round_key, shapes=True) if view.stop_key == stop.key
+    ]
     key, decided = key_of(round_key, stop.key), []
     for place, (result, taken) in enumerate(zip(results, stop.captures, strict=True)):
         fruit = list(result.fruit)
@@ -134,7 +133,7 @@ def _save_again(
         for view in (view for view in views if view.capture == taken.name):
             if not (view.verdict or view.corrected or view.picked_s is not None):
                 continue
-            old = instance_of(store.detection(view.key).view.record, result.capture.depth_m.shape)
+            old = instance_of(view, result.capture.depth_m.shape)
             overlap = box_ious(old.box[None], boxes)[0] if len(boxes) else np.zeros(0)
             number = int(overlap.argmax()) if overlap.max(initial=0.0) >= _SAME_BOX else len(fruit)
             if view.corrected or number == len(fruit):
@@ -142,9 +141,18 @@ def _save_again(
             decided.append((view, key_of("fruit", key, place, number + 1)))
         results[place] = replace(result, fruit=tuple(fruit))
     new = stop_record(round_key, results, measurer, key=key, images=store.images)
-    new = placed_stop(new, stored_pose(stop.pose, stop.side))
-    measured = {name: getattr(new, name) for name in ("captures", "artifacts", "failures")}
-    store.save_stop(replace(stop, key=key, round_key=round_key, **measured))
+    new = placed_stop(new, stored_pose(stop.pose_now, stop.side))
+    placed = replace(
+        stop,
+        key=key,
+        round_key=round_key,
+        captures=new.captures,
+        artifacts=new.artifacts,
+        failures=new.failures,
+        pose=stop.pose_now,
+        mirrored=False,
+    )
+    store.save_stop(placed)
     for view, fruit_key in decided:
         if view.verdict:
             store.set_verdict([fruit_key], view.verdict)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -11,7 +10,6 @@ import numpy as np
 from cucumbervision.measurement.matching import pooled_length
 
 if TYPE_CHECKING:
-    from cucumbervision.measurement.result import Length
     from cucumbervision_greenhouse.rounds.merge import Merged
     from cucumbervision_greenhouse.rounds.row_views import Bools, Floats, Ints, RowViews
 
@@ -91,38 +89,3 @@ def row_fruit(merged: Merged, views: RowViews) -> RowFruit:
         length_sd=length_sd,
         partial=views.partial[best],
     )
-
-
-_MOST_APART_SD, _MOST_WIDER = 2.5, 1.5
-
-
-def joint_tube_is_used(tube: Length, pooled: tuple[float, float] | None) -> bool:
-    """Return whether the length of the joint tube replaces the pooled length.
-
-    It does not where the views' own lengths contradict it (views of two fruit that were taken
-    for one fit no tube), nor where it is much less sure than they are. How far apart and how
-    unsure was set on simulated fruit found by networks (`benchmarks/many_views.py --perceived`).
-
-    Parameters
-    ----------
-    tube : Length
-        Of the tube; one without an interval is not used.
-    pooled : tuple of float, optional
-        Length and standard deviation, as `pooled_length` gives them.
-
-    Examples
-    --------
-    >>> from cucumbervision.measurement.result import Length
-    >>> joint_tube_is_used(Length(0.30, low_m=0.29, high_m=0.31), (0.304, 0.006))
-    True
-    >>> joint_tube_is_used(Length(0.35, low_m=0.34, high_m=0.36), (0.304, 0.006))
-    False
-    """
-    tube_sd = tube.relative_sd
-    if tube_sd is None or pooled is None:
-        return tube_sd is not None
-    length_m, sd_m = pooled
-    sd = sd_m / length_m
-    apart = abs(math.log(tube.value_m / length_m)) / sd
-    wider = tube_sd / sd
-    return apart < _MOST_APART_SD and wider < _MOST_WIDER

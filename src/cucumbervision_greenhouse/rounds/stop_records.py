@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,13 +20,11 @@ from cucumbervision.geometry.curve import arc_positions
 from cucumbervision.instances.instance import Instance, MaskSource
 from cucumbervision.instances.mask_codes import decode_rle, encode_rle
 from cucumbervision.pipeline.fields import stored_row
-from cucumbervision.pipeline.options import GRAVITY_BY_EDGE
 from cucumbervision_greenhouse.store.images import DEPTH_UNIT_M
 from cucumbervision_greenhouse.store.records import (
     ArtifactRecord,
     CaptureRecord,
-    DetectionRecord,
-    MethodRecord,
+    FruitRow,
     Point,
     StopRecord,
     new_key,
@@ -47,7 +45,6 @@ AS_READ = (
     *("name", "frame", "burst_frame", "burst_size", "timestamp_s", "simulated", "source"),
     "gravity",
 )
-_STORED = frozenset(column.name for column in fields(DetectionRecord))
 
 
 def stop_record(
@@ -156,7 +153,7 @@ def stored_capture(images: ImageStore, record: CaptureRecord, stop: StopRecord) 
             source=record.name,
             remedy="measure the capture again",
         )
-    capture = Capture(
+    return Capture(
         images.read_color(record.color),
         images.read_depth(record.depth, record.depth_unit_m or DEPTH_UNIT_M),
         CameraModel.model_validate(dict(record.camera)).intrinsics,
@@ -165,16 +162,6 @@ def stored_capture(images: ImageStore, record: CaptureRecord, stop: StopRecord) 
         doubts=tuple(map(Doubt, record.doubts or ())),
         **{name: getattr(record, name) for name in AS_READ},
     )
-    # Stores of 0.1.0 kept how the camera was held, and not the direction that follows from it.
-    return capture if capture.gravity else replace(capture, gravity=_gravity_by_option(stop))
-
-
-def _gravity_by_option(stop: StopRecord) -> tuple[float, float, float] | None:
-    """Return the direction of gravity that the options of a stop named; None without one."""
-    options = next(
-        (artifact.details for artifact in stop.artifacts if artifact.kind == "config"), {}
-    )
-    return GRAVITY_BY_EDGE.get(str(options.get("camera_up")))
 
 
 def _pictures(capture: Capture, images: ImageStore | None) -> dict[str, Any]:
@@ -188,28 +175,23 @@ def _pictures(capture: Capture, images: ImageStore | None) -> dict[str, Any]:
     }
 
 
-def fruit_record(capture: Capture, number: int, fruit: Fruit) -> DetectionRecord:
-    """Return the record of one fruit.
+def fruit_record(capture: Capture, number: int, fruit: Fruit) -> FruitRow:
+    """Return the row of a capture's fruit by its number from 1, with mask and path.
 
     The fruit's offset along the row is how far right of the camera its middle lies; who knows that
     the row runs the other way, or the camera's pose, replaces it.
     """
-    keypoints = fruit.instance.keypoints
-    row: dict[str, Any] = stored_row(capture, number, fruit)
-    cells = {name: cell for name, cell in row.items() if name in _STORED}
-    return DetectionRecord(
-        number=number,
-        offset_m=row["centre_x_m"],
-        length=fruit.length,
-        raw_length=fruit.raw_length,
+    keypoints, chosen = fruit.instance.keypoints, fruit.selected
+    cells: dict[str, Any] = stored_row(capture, number, fruit)
+    return FruitRow(
+        **{**cells, "offset_m": cells["centre_x_m"]},
         keypoints=() if keypoints is None else _rows_of(keypoints),
         mask=None if fruit.mask is None else encode_rle(fruit.mask),
-        methods=tuple(_method_record(measurement) for measurement in fruit.measurements.values()),
-        **cells,
+        **({} if chosen is None else _path_of(chosen)),
     )
 
 
-def instance_of(record: DetectionRecord, shape: tuple[int, int]) -> Instance:
+def instance_of(record: FruitRow, shape: tuple[int, int]) -> Instance:
     """Return a stored fruit as an instance in a picture of this height and width."""
     edges = (record.box_x1_px, record.box_y1_px, record.box_x2_px, record.box_y2_px)
     return Instance(
@@ -251,31 +233,21 @@ def _artifact_records(
     return tuple(records)
 
 
-def _method_record(measurement: Measurement) -> MethodRecord:
-    tube, fit, path = measurement.tube, measurement.fit, measurement.path_m
+def _path_of(measurement: Measurement) -> dict[str, Any]:
+    """Return the line that was measured, and the tube's diameter along it."""
+    fit, path = measurement.fit, measurement.path_m
     diameter: NDArray[np.float64] | None = None
     if fit is not None:
         path = fit.traits.axis_m
         diameter = np.interp(arc_positions(path), fit.traits.along_m, fit.traits.diameter_m)
-    kept_points = np.zeros(0, int)
-    if path is not None:
-        kept_points = np.unique(np.linspace(0, len(path) - 1, min(len(path), _PATH_POINTS)).round())
-        kept_points = kept_points.astype(int)
-    return MethodRecord(
-        method=str(measurement.method),
-        length_m=measurement.length_m,
-        kind=measurement.kind and str(measurement.kind),
-        reason=str(measurement.reason),
-        fallback=" > ".join(measurement.fallback),
-        measured_by=measurement.measured_by and str(measurement.measured_by),
-        centreline_m=None if tube is None else tube.centreline_m,
-        thread_m=None if tube is None else tube.thread_m,
-        chord_m=None if tube is None else tube.chord_m,
-        centreline_sd_m=None if fit is None else fit.centreline_sd_m,
-        thread_sd_m=None if fit is None else fit.thread_sd_m,
-        path_m=() if path is None else _rows_of(np.round(path[kept_points], 6)),
-        diameter_m=() if diameter is None else tuple(np.round(diameter[kept_points], 6).tolist()),
-    )
+    if path is None or not len(path):
+        return {}
+    points = np.linspace(0, len(path) - 1, min(len(path), _PATH_POINTS)).round().astype(int)
+    kept = np.unique(points)
+    return {
+        "path_m": _rows_of(np.round(path[kept], 6)),
+        "diameter_m": () if diameter is None else tuple(np.round(diameter[kept], 6).tolist()),
+    }
 
 
 def _rows_of(values: NDArray[np.float64]) -> tuple[Point, ...]:

@@ -11,8 +11,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from cucumbervision.capture.frames import Stop
+    from cucumbervision_greenhouse.store.records import StopRecord
     from cucumbervision_greenhouse.store.repository import Store
-    from cucumbervision_greenhouse.store.views import CameraAt
 
 _STEP_M = 0.4
 _WIDEST_M = 5.0
@@ -79,7 +79,7 @@ def next_place(stops: Sequence[_Placed]) -> NextPlace:
 
     Parameters
     ----------
-    stops : sequence of Stop or StopSummary
+    stops : sequence of Stop or StopRecord
         What was taken so far, in order.
 
     Examples
@@ -115,7 +115,7 @@ def unless_taken(stop: Stop, taken: Sequence[_Placed]) -> Stop:
     ----------
     stop : Stop
         The position given by the operator.
-    taken : sequence of Stop or StopSummary
+    taken : sequence of Stop or StopRecord
         Where the others are, in order.
 
     Examples
@@ -154,9 +154,7 @@ def stops_at(stop: _Placed, stops: Iterable[_T]) -> list[_T]:
     ]
 
 
-def refuse_taken(
-    store: Store, round_key: str, stop: _Placed, camera: CameraAt, *, but: str = ""
-) -> None:
+def refuse_taken(store: Store, stop: StopRecord) -> None:
     """Refuse a stop at a place that has one of the same camera: most likely a slip in typing.
 
     Two cameras on one mast share every place. They are two where their intrinsics differ, or their
@@ -164,29 +162,23 @@ def refuse_taken(
 
     Parameters
     ----------
-    store, round_key : Store, str
-        The round.
-    stop : Stop or StopSummary
-        Where it is to be.
-    camera : CameraAt
-        What takes it.
-    but : str
-        Key of a stop that does not count: the one that is moved.
+    store : Store
+        Where its round is.
+    stop : StopRecord
+        The stop, at its new place; itself in the round does not count.
 
     Raises
     ------
     RoundError
         If one is there.
     """
-    same_place = [view for view in stops_at(stop, store.stops(round_key)) if view.key != but]
-    cameras = store.cameras(round_key) if same_place else {}
-    for view in same_place:
-        if camera.is_one_with(cameras[view.key]):
+    for there in stops_at(stop, store.stops(stop.round_key)):
+        if there.key != stop.key and there.has_camera_of(stop):
             fault = "stop {number} is at {position:.2f} m of that row and side"
-            if view.step is None:
+            if there.step is None:
                 fault = "a stop is at {position:.2f} m of that row and side"
             remedy = "choose another position, or move or delete that stop first"
-            raise RoundError(fault, remedy=remedy, number=view.step, position=view.position_m)
+            raise RoundError(fault, remedy=remedy, number=there.step, position=there.position_m)
 
 
 def last_step(*walks: Sequence[_Placed]) -> int:

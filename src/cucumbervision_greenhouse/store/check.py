@@ -8,12 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sqlalchemy import select
+from sqlalchemy import or_, select
 
 from cucumbervision.errors import StoredImageError
-from cucumbervision_greenhouse.store.cells import cells_of
-from cucumbervision_greenhouse.store.records import ImageRef
-from cucumbervision_greenhouse.store.schema import IMAGE_COLUMNS, Image
+from cucumbervision_greenhouse.store.schema import CAPTURES
 
 if TYPE_CHECKING:
     from cucumbervision_greenhouse.store.engine import Database
@@ -21,6 +19,7 @@ if TYPE_CHECKING:
 _GRACE_S = 3600.0  # longer than any program takes between a picture and the stop that names it
 
 _ASIDE_SUFFIX = ".removing"
+_PICTURES = (CAPTURES.c.color, CAPTURES.c.depth, CAPTURES.c.thumbnail)
 
 
 @dataclass(frozen=True)
@@ -74,18 +73,18 @@ def check_store(store: Database, *, remove: bool = False, grace_s: float = _GRAC
     if remove:
         _bring_back(store)
     with store.reading() as connection:
-        rows = cells_of(connection, select(*IMAGE_COLUMNS))
-    refs = {row[0]: ImageRef(*row) for row in rows}
+        lines = connection.execute(select(*_PICTURES))
+        names = sorted({name for line in lines for name in line if name is not None})
     missing, damaged = [], []
-    for ref in refs.values():
-        path = store.images.path(ref)
+    for name in names:
+        path = store.images.path(name)
         if not path.exists():
             missing.append(path)
-        elif not _whole(store, ref):
+        elif not _whole(store, name):
             damaged.append(path)
-    orphans = _orphans(store, refs, time.time() - grace_s)
+    orphans = _orphans(store, names, time.time() - grace_s)
     return StoreCheck(
-        pictures=len(refs),
+        pictures=len(names),
         missing=tuple(missing),
         damaged=tuple(damaged),
         orphans=tuple(orphans),
@@ -94,16 +93,16 @@ def check_store(store: Database, *, remove: bool = False, grace_s: float = _GRAC
     )
 
 
-def _whole(store: Database, ref: ImageRef) -> bool:
+def _whole(store: Database, name: str) -> bool:
     try:
-        store.images.read(ref)
+        store.images.read(name)
     except StoredImageError:
         return False
     return True
 
 
-def _orphans(store: Database, refs: dict[str, ImageRef], before_s: float) -> list[Path]:
-    named = {store.images.path(ref) for ref in refs.values()}
+def _orphans(store: Database, names: list[str], before_s: float) -> list[Path]:
+    named = {store.images.path(name) for name in names}
     files = store.images.files()
     return sorted(path for path in files if path not in named and _older(path, before_s))
 
@@ -127,7 +126,7 @@ def _removed(store: Database, path: Path, grace_s: float) -> bool:
         path.replace(aside)
     except FileNotFoundError:
         return False
-    if _older(aside, time.time() - grace_s) and not _is_named(store, path.stem):
+    if _older(aside, time.time() - grace_s) and not _is_named(store, path.name):
         aside.unlink(missing_ok=True)
         return True
     if path.exists():
@@ -146,10 +145,10 @@ def _bring_back(store: Database) -> None:
                 aside.unlink() if path.exists() else aside.replace(path)
 
 
-def _is_named(store: Database, sha256: str) -> bool:
+def _is_named(store: Database, name: str) -> bool:
     with store.reading() as connection:
-        query = select(Image.sha256).where(Image.sha256 == sha256)
-        return connection.execute(query).first() is not None
+        query = select(CAPTURES.c.id).where(or_(*(column == name for column in _PICTURES)))
+        return connection.execute(query.limit(1)).first() is not None
 
 
 def _faults(store: Database) -> tuple[str, ...]:

@@ -26,7 +26,7 @@ from cucumbervision.errors import (
     wrap_os_errors,
 )
 from cucumbervision_greenhouse.store.images import ImageStore
-from cucumbervision_greenhouse.store.schema import Base
+from cucumbervision_greenhouse.store.schema import FRUIT, METADATA, VERSION
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -191,10 +191,13 @@ def _begin_sqlite(connection: Connection) -> None:
 
 
 @contextmanager
-def begin(engine: Engine, *, write: bool = False) -> Iterator[Connection]:
+def begin(
+    engine: Engine, *, write: bool = False, foreign_keys: bool = True
+) -> Iterator[Connection]:
     """Open one transaction: committed at the end, rolled back by any error.
 
-    A read-only transaction sees the database as it was at its start.
+    A read-only transaction sees the database as it was at its start. Without `foreign_keys` SQLite
+    does not check them, as it must not where tables are made anew.
 
     Raises
     ------
@@ -206,8 +209,16 @@ def begin(engine: Engine, *, write: bool = False) -> Iterator[Connection]:
         if not write and connection.dialect.name == "postgresql":
             options["isolation_level"] = "REPEATABLE READ"
         connection = connection.execution_options(**options)
-        with connection.begin():
-            yield connection
+        sqlite_checks = connection.dialect.name == "sqlite" and not foreign_keys
+        raw = connection.connection.dbapi_connection if sqlite_checks else None
+        if raw is not None:
+            raw.cursor().execute("PRAGMA foreign_keys = OFF")
+        try:
+            with connection.begin():
+                yield connection
+        finally:
+            if raw is not None:
+                raw.cursor().execute("PRAGMA foreign_keys = ON")
 
 
 @contextmanager
@@ -310,64 +321,70 @@ class Database:
         self.close()
 
 
-VERSION = "3"
-"""Of the tables; a change that is more than a new column of a record raises it."""
-
 VERSION_TABLE = "cucumbervision_version"
 
 _POSTGRES_LOCK = 0x63766D31  # arbitrary; the advisory lock of those who make the tables
 
 
 def prepare(engine: Engine) -> None:
-    """Make the tables of a new store, and add columns that records have gained since.
+    """Make the tables of a new store, or bring those of an earlier version here.
 
-    All in one transaction: two programs that open a new store at once wait for each other, and
-    one that is killed meanwhile leaves the database as it was.
+    All in one transaction: two programs that open a store at once wait for each other, and one that
+    is killed meanwhile leaves the database as it was.
 
     Raises
     ------
     StoreVersionError
-        If another version of the software wrote it; nothing is changed.
+        If a later version of the software wrote it; nothing is changed.
     StoreError
         If the database holds another program's tables under our names.
     """
     with begin(engine) as connection:
         if stored_version(connection) == VERSION and not _missing_columns(connection):
             return
-    with begin(engine, write=True) as connection:
+    with begin(engine, write=True, foreign_keys=False) as connection:
         if connection.dialect.name == "postgresql":
             connection.execute(text("SELECT pg_advisory_xact_lock(:n)"), {"n": _POSTGRES_LOCK})
         version = stored_version(connection)
         if version is None:
             _check_free(connection, named(engine.url))
-            _make_tables(connection)
+            METADATA.create_all(connection, checkfirst=False)
+            connection.execute(text(f"CREATE TABLE {VERSION_TABLE} (version TEXT NOT NULL)"))
+            connection.execute(text(f"INSERT INTO {VERSION_TABLE} VALUES (:v)"), {"v": VERSION})
         elif version != VERSION:
-            raise StoreVersionError(
-                f"has schema {version}, and this software reads schema {VERSION}",
-                source=named(engine.url),
-                remedy="use the version of cucumbervision that wrote it; nothing was changed",
-            )
-        for table, column in _missing_columns(connection):
+            _migrate(connection, version, named(engine.url))
+        for column in _missing_columns(connection):
             kind = column.type.compile(connection.dialect)
-            connection.execute(text(f"ALTER TABLE {table} ADD COLUMN {column.name} {kind}"))
+            connection.execute(text(f"ALTER TABLE fruit ADD COLUMN {column.name} {kind}"))
 
 
-def _missing_columns(connection: Connection) -> list[tuple[str, Column[Any]]]:
-    """Return the columns of records that the tables do not have yet, such as a new trait's.
+def _migrate(connection: Connection, version: str, source: str) -> None:
+    """Bring the tables of an earlier version to this one, step by step."""
+    from alembic.migration import MigrationContext
+    from alembic.operations import Operations
+
+    from cucumbervision_greenhouse.store.migrations import FIRST, STEPS
+
+    steps = STEPS[int(version) - FIRST :] if version.isdecimal() and int(version) >= FIRST else ()
+    if not steps:
+        raise StoreVersionError(
+            f"has schema {version}, and this software reads schema {FIRST} to {VERSION}",
+            source=source,
+            remedy="use the version of cucumbervision that wrote it; nothing was changed",
+        )
+    with Operations.context(MigrationContext.configure(connection)):
+        for step in steps:
+            step()
+    connection.execute(text(f"UPDATE {VERSION_TABLE} SET version = :v"), {"v": VERSION})
+
+
+def _missing_columns(connection: Connection) -> list[Column[Any]]:
+    """Return the columns of `fields.csv` that the table does not have yet, such as a new trait's.
 
     They may be empty, so that older software can still use such a database.
     """
-    inspector = inspect(connection)
-    missing = []
-    for name in ("captures", "fruit", "measurements"):
-        stored_names = {column["name"] for column in inspector.get_columns(name)}
-        columns = Base.metadata.tables[name].columns
-        missing += [
-            (name, column)
-            for column in columns
-            if column.nullable and column.name not in stored_names
-        ]
-    return missing
+    stored_names = {column["name"] for column in inspect(connection).get_columns("fruit")}
+    return [column for column in FRUIT.columns if column.name not in stored_names]
 
 
 def stored_version(connection: Connection) -> str | None:
@@ -379,35 +396,10 @@ def stored_version(connection: Connection) -> str | None:
 
 
 def _check_free(connection: Connection, source: str) -> None:
-    taken = set(inspect(connection).get_table_names()) & set(Base.metadata.tables)
+    taken = set(inspect(connection).get_table_names()) & set(METADATA.tables)
     if taken:
         raise StoreError(
             f"holds tables of another program ({', '.join(sorted(taken))})",
             source=source,
             remedy="name another database; nothing was changed",
         )
-
-
-def _make_tables(connection: Connection) -> None:
-    Base.metadata.create_all(connection, checkfirst=False)
-    dialect = connection.dialect.name
-    for statement in _KEEP_LOG[dialect]:
-        connection.execute(text(statement))
-    connection.execute(text(f"CREATE TABLE {VERSION_TABLE} (version TEXT NOT NULL)"))
-    connection.execute(text(f"INSERT INTO {VERSION_TABLE} VALUES (:v)"), {"v": VERSION})
-
-
-_KEEP_LOG = {
-    "sqlite": [
-        f"CREATE TRIGGER actions_no_{what.lower()} BEFORE {what} ON actions "
-        "BEGIN SELECT RAISE(ABORT, 'the log is only added to'); END"
-        for what in ("UPDATE", "DELETE")
-    ],
-    "postgresql": [
-        "CREATE FUNCTION cucumbervision_keep_log() RETURNS trigger LANGUAGE plpgsql AS "
-        "$$ BEGIN RAISE EXCEPTION 'the log is only added to'; END $$",
-        "CREATE TRIGGER actions_keep BEFORE UPDATE OR DELETE ON actions "
-        "FOR EACH ROW EXECUTE FUNCTION cucumbervision_keep_log()",
-    ],
-}
-"""The database itself keeps lines of the log from being changed or removed."""

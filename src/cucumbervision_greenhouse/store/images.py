@@ -15,7 +15,6 @@ import numpy as np
 
 from cucumbervision.errors import StoredImageError, StoreError, wrap_os_errors
 from cucumbervision.files import sync_folder
-from cucumbervision_greenhouse.store.records import ImageRef
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -45,9 +44,9 @@ class ImageStore:
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     store = ImageStore(Path(folder))
-    ...     ref = store.put_depth(np.full((48, 64), 0.4545, np.float32))
-    ...     store.path(ref).relative_to(folder).parts[0] == ref.sha256[:2]
-    ...     round(float(store.read_depth(ref)[0, 0]), 6)
+    ...     name = store.put_depth(np.full((48, 64), 0.4545, np.float32))
+    ...     store.path(name).relative_to(folder).parts[0] == name[:2]
+    ...     round(float(store.read_depth(name)[0, 0]), 6)
     True
     0.4545
     """
@@ -55,7 +54,7 @@ class ImageStore:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
 
-    def put_color(self, color: NDArray[np.uint8]) -> ImageRef:
+    def put_color(self, color: NDArray[np.uint8]) -> str:
         """Store a colour picture as PNG, from which can be measured again to the same length.
 
         Parameters
@@ -70,7 +69,7 @@ class ImageStore:
         """
         return self._put_picture(color, ".png")
 
-    def put_thumbnail(self, color: NDArray[np.uint8]) -> ImageRef:
+    def put_thumbnail(self, color: NDArray[np.uint8]) -> str:
         """Store a small JPEG of a colour picture, at most `THUMBNAIL_PX` wide or high."""
         import cv2
 
@@ -80,7 +79,7 @@ class ImageStore:
         quality = (cv2.IMWRITE_JPEG_QUALITY, _THUMBNAIL_QUALITY)
         return self._put_picture(cast("NDArray[Any]", small), ".jpg", quality)
 
-    def put_depth(self, depth_m: NDArray[np.float32]) -> ImageRef:
+    def put_depth(self, depth_m: NDArray[np.float32]) -> str:
         """Store a depth picture as 16-bit PNG in steps of `DEPTH_UNIT_M`; 0 is no reading.
 
         Parameters
@@ -92,43 +91,27 @@ class ImageStore:
         stored_steps = np.where((steps > 0) & (steps <= np.iinfo(np.uint16).max), steps, 0)
         return self._put_picture(stored_steps.astype(np.uint16), ".png")
 
-    def put(self, data: bytes, suffix: str, width_px: int, height_px: int) -> ImageRef:
-        """Store an encoded picture.
-
-        Parameters
-        ----------
-        data : bytes
-            The file's content.
-        suffix : str
-            '.png' or '.jpg'.
-        width_px, height_px : int
-            The picture's size.
+    def put(self, data: bytes, suffix: str) -> str:
+        """Store an encoded picture, and return its name: the hash of its content, and its suffix.
 
         Raises
         ------
         StoreError
             If the folder cannot be written.
         """
-        sha256 = hashlib.sha256(data).hexdigest()
-        ref = ImageRef(
-            sha256=sha256,
-            suffix=suffix,
-            size_bytes=len(data),
-            width_px=width_px,
-            height_px=height_px,
-        )
-        path = self.path(ref)
+        name = hashlib.sha256(data).hexdigest() + suffix
+        path = self.path(name)
         remedy = "check the folder's permissions, then send the stop again"
         with wrap_os_errors("cannot be written", path, remedy, StoreError):
-            if not self._has(path, sha256):
+            if not self._has(path):
                 self._write_whole(path, data)
-        return ref
+        return name
 
-    def path(self, ref: ImageRef) -> Path:
+    def path(self, name: str) -> Path:
         """Return a picture's file: two levels of folders, then the whole hash."""
-        return self.folder / ref.sha256[:2] / ref.sha256[2:4] / f"{ref.sha256}{ref.suffix}"
+        return self.folder / name[:2] / name[2:4] / name
 
-    def read(self, ref: ImageRef) -> bytes:
+    def read(self, name: str) -> bytes:
         """Read a picture's file and compare it with its hash.
 
         Raises
@@ -136,28 +119,28 @@ class ImageStore:
         StoredImageError
             If it is missing, or its content does not match its name.
         """
-        path = self.path(ref)
+        path = self.path(name)
         remedy = "copy it back from a backup; its name is the hash of its content"
         with wrap_os_errors("cannot be read", path, remedy, StoredImageError):
             data = path.read_bytes()
-        if hashlib.sha256(data).hexdigest() != ref.sha256:
+        if hashlib.sha256(data).hexdigest() != path.stem:
             raise StoredImageError(
                 "its content does not match its name", source=path, remedy=remedy
             )
         return data
 
-    def read_color(self, ref: ImageRef) -> NDArray[np.uint8]:
+    def read_color(self, name: str) -> NDArray[np.uint8]:
         """Read a colour picture or thumbnail: RGB, uint8, shape (H, W, 3)."""
         import cv2
 
-        image = cv2.imdecode(np.frombuffer(self.read(ref), np.uint8), cv2.IMREAD_COLOR)
+        image = cv2.imdecode(np.frombuffer(self.read(name), np.uint8), cv2.IMREAD_COLOR)
         return cast("NDArray[np.uint8]", cv2.cvtColor(_decoded(image), cv2.COLOR_BGR2RGB))
 
-    def read_depth(self, ref: ImageRef, unit_m: float = DEPTH_UNIT_M) -> NDArray[np.float32]:
+    def read_depth(self, name: str, unit_m: float = DEPTH_UNIT_M) -> NDArray[np.float32]:
         """Read a depth picture: metres, float32, shape (H, W), 0 where there is no reading."""
         import cv2
 
-        image = cv2.imdecode(np.frombuffer(self.read(ref), np.uint8), cv2.IMREAD_UNCHANGED)
+        image = cv2.imdecode(np.frombuffer(self.read(name), np.uint8), cv2.IMREAD_UNCHANGED)
         return (_decoded(image).astype(np.float64) * unit_m).astype(np.float32)
 
     def files(self) -> Iterator[Path]:
@@ -178,15 +161,15 @@ class ImageStore:
 
     def _put_picture(
         self, image: NDArray[Any], suffix: str, parameters: tuple[int, ...] = ()
-    ) -> ImageRef:
+    ) -> str:
         import cv2
 
         if image.ndim == 3:
             image = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
         _, data = cv2.imencode(suffix, image, parameters)
-        return self.put(data.tobytes(), suffix, int(image.shape[1]), int(image.shape[0]))
+        return self.put(data.tobytes(), suffix)
 
-    def _has(self, path: Path, sha256: str) -> bool:
+    def _has(self, path: Path) -> bool:
         """Return whether the picture is there and whole; its time of change becomes now.
 
         The time of change is what keeps `check` from removing a picture as an orphan between
@@ -197,7 +180,7 @@ class ImageStore:
             digest = hashlib.sha256(path.read_bytes()).hexdigest()
         except FileNotFoundError:
             return False
-        if digest == sha256:
+        if digest == path.stem:
             return True
         # Kept, so that what happened to it can be looked into.
         path.replace(path.with_name(f"{path.name}.damaged-{uuid.uuid4().hex[:8]}"))

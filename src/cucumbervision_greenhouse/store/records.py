@@ -1,4 +1,4 @@
-"""Records of the store: frozen values, in metres and seconds."""
+"""What a store takes and gives: rounds, stops, captures and the rows of fruit; metres, seconds."""
 
 from __future__ import annotations
 
@@ -6,19 +6,24 @@ import json
 import time
 import uuid
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any, TypeAlias
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from cucumbervision.errors import StoreError
 from cucumbervision.measurement.flags import is_length_unknown, is_lower_bound
-from cucumbervision.measurement.result import Choice, Length
+from cucumbervision.measurement.result import Length
+from cucumbervision.pipeline.fields import STORED_FIELDS, stored_length
+
+if TYPE_CHECKING:
+    from cucumbervision_greenhouse.store.links import LinkRecord
 
 Point: TypeAlias = tuple[float, ...]
 
-# Flags of a fruit that is partly out of sight, and the hidden share with the same meaning.
-_HIDDEN_SHARE = 0.15
-
+_HIDDEN_SHARE = 0.15  # means the same as a flag of a fruit that is partly out of sight
+_SAME_HEIGHT_M = 0.005
+_CLOCK_SET_S = 946_684_800.0  # the year 2000
 _NAMESPACE = uuid.UUID("6f2d2a4e-5d0b-5c7e-9a4d-6d1c1f0c9b57")
 
 
@@ -27,6 +32,13 @@ class Saved(StrEnum):
 
     NEW = "new"
     ALREADY_THERE = "already-there"
+
+
+class Verdict(StrEnum):
+    """A person's verdict on a measured fruit."""
+
+    ACCEPTED = "accepted"
+    REJECTED = "rejected"
 
 
 def new_key() -> str:
@@ -73,6 +85,46 @@ def checked_key(key: str, what: str) -> str:
 
 
 @dataclass(frozen=True)
+class Round:
+    """One walk through a house.
+
+    Parameters
+    ----------
+    key : str
+        UUID, made by the program that starts the round.
+    name, house, profile, note : str
+        Its name; the greenhouse, empty where there is only one; name of the crop profile; the
+        operator's note.
+    started_s : float
+        When it began, seconds since 1970 (UTC).
+    stops, fruit : int
+        How many it has, in a list.
+    last_s : float, optional
+        When its last capture was taken.
+    """
+
+    key: str = field(default_factory=new_key)
+    name: str = ""
+    house: str = ""
+    started_s: float = field(default_factory=time.time)
+    profile: str = ""
+    note: str = ""
+    stops: int = 0
+    fruit: int = 0
+    last_s: float | None = None
+
+    @property
+    def walked_s(self) -> float:
+        """When it was walked: when its last capture was taken, seconds since 1970.
+
+        When it was begun where that is not known: without captures, or from a camera whose clock
+        was never set.
+        """
+        clock_set = self.last_s is not None and self.last_s > _CLOCK_SET_S
+        return self.last_s if clock_set and self.last_s else self.started_s
+
+
+@dataclass(frozen=True)
 class ArtifactRecord:
     """A model, calibration, configuration or crop profile that took part in a measurement.
 
@@ -94,178 +146,96 @@ class ArtifactRecord:
     details: Mapping[str, Any] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
-class ImageRef:
-    """A stored picture: its name is the hash of its content.
+_ROW: dict[str, Any] = {
+    **dict.fromkeys(column.si_name for column in STORED_FIELDS),
+    **{"fruit": 1, "score": 1.0, "label": "cucumber", "view_score": 0.0},
+    **dict.fromkeys(("reason", "fallback", "flags"), ""),
+    **dict.fromkeys(("box_x1_px", "box_y1_px", "box_x2_px", "box_y2_px"), 0.0),
+    **dict.fromkeys(("offset_m", "offset_sd_m")),
+}
+_SHAPE: dict[str, Any] = {"mask": None, "keypoints": (), "path_m": (), "diameter_m": ()}
+_PLACE: dict[str, Any] = {
+    **dict.fromkeys(("key", "stop_key", "round_key", "capture", "group"), ""),
+    **dict.fromkeys(("row", "side", "step", "along_m", "along_sd_m", "thumbnail")),
+    **{"taken_s": 0.0, "simulated": False, "verdict": None, "picked_s": None, "corrected": False},
+    **{"views": 1, "number": 0},
+}
+_INTERVAL = ("low_m", "high_m", "of", "basis")
+
+
+class FruitRow(SimpleNamespace):
+    """One fruit of one capture: its row, where it hangs, and what people decided about it.
+
+    Attributes are the columns of `fields.csv` in SI units (`Column.si_name`), and those below. A
+    row is never changed; `with_` makes another.
 
     Parameters
     ----------
-    sha256 : str
-        Of the file, hexadecimal.
-    suffix : str
-        '.png' or '.jpg'.
-    size_bytes : int
-        Of the file.
-    width_px, height_px : int
-        Of the picture.
-    """
-
-    sha256: str
-    suffix: str
-    size_bytes: int
-    width_px: int
-    height_px: int
-
-
-@dataclass(frozen=True)
-class Round:
-    """One walk through a house.
-
-    Parameters
-    ----------
-    key : str
-        UUID, made by the program that starts the round.
-    name : str
-        Its name.
-    house : str
-        The greenhouse; empty where there is only one.
-    started_s : float
-        When it began, seconds since 1970 (UTC).
-    profile : str
-        Name of the crop profile.
-    note : str
-        The operator's note.
-    """
-
-    key: str = field(default_factory=new_key)
-    name: str = ""
-    house: str = ""
-    started_s: float = field(default_factory=time.time)
-    profile: str = ""
-    note: str = ""
-
-
-@dataclass(frozen=True)
-class MethodRecord:
-    """One method on one fruit, see `measurement.result.Measurement`.
-
-    Parameters
-    ----------
-    method : str
-        'M1' to 'M6'.
-    length_m : float, optional
-        Its own raw length, metres.
-    kind, reason, fallback, measured_by
-        As in `Measurement`; the path of fallbacks as one text.
-    centreline_m, thread_m, chord_m : float, optional
-        The three lengths, where a tube was fitted.
-    centreline_sd_m, thread_sd_m : float, optional
-        Their standard deviations, camera scale left out.
-    path_m : tuple of (x, y, z)
-        The line that was measured, camera coordinates, metres.
-    diameter_m : tuple of float
-        The tube's diameter at each point of `path_m`; empty where none was fitted.
-    """
-
-    method: str
-    length_m: float | None = None
-    kind: str | None = None
-    reason: str = "ok"
-    fallback: str = ""
-    measured_by: str | None = None
-    centreline_m: float | None = None
-    thread_m: float | None = None
-    chord_m: float | None = None
-    centreline_sd_m: float | None = None
-    thread_sd_m: float | None = None
-    path_m: tuple[Point, ...] = ()
-    diameter_m: Point = ()
-
-
-@dataclass(frozen=True)
-class DetectionRecord:
-    """One detected fruit of one capture.
-
-    Names are those of `Column.si_name` of `pipeline.fields.FIELDS`.
-
-    Parameters
-    ----------
-    number : int
+    fruit : int
         Its number in the capture, from 1.
-    centre_x_m, centre_y_m, centre_z_m : float, optional
-        Its middle in camera coordinates: right, down and away from the camera, metres.
-    offset_m, offset_sd_m : float, optional
-        How far along the row its middle lies from the stop's position, and how sure that is.
-    view_score : float
-        How well this view shows it, 0 to 1; the highest of several views represents the fruit.
     length, raw_length : Length, optional
-        As in `Fruit`: what the fruit counts for, and what was read before the site's
+        In place of their columns: what the fruit counts for, and what was read before the site's
         calibration.
-    keypoints : tuple of (u, v, visibility)
-        Pixels; empty where there are none.
-    mask : str, optional
-        The mask that was measured, COCO's compressed run lengths at the capture's size. Lists
-        leave it out.
-    methods : tuple of MethodRecord
-        Every method that was run. Lists leave them out.
+    **values
+        Any other attributes:
+
+        - `offset_m`, `offset_sd_m`: how far along the row its middle lies from its stop's position;
+        - `mask`, `keypoints`, `path_m`, `diameter_m`: compressed run lengths of the measured mask
+          at the capture's size; (u, v, visibility); the measured line in camera coordinates and the
+          tube's diameter along it. Lists leave them out;
+        - `key`, `stop_key`, `round_key`, `capture`, `simulated`, `thumbnail`, `row`, `side`,
+          `step`, `taken_s`: its own key, and those of its stop and round; its capture's name and
+          small picture; where and when it was taken;
+        - `along_m`, `along_sd_m`: where it hangs along the row;
+        - `verdict`, `picked_s`, `corrected`: a person's verdict, when it was picked, and whether
+          its outline was corrected;
+        - `group`, `views`, `number`: key of the best view of the same fruit in the round, how many
+          views it has, and its number in the round's list.
+
+    Examples
+    --------
+    >>> fruit = FruitRow(1, length=Length(0.31, low_m=0.30, high_m=0.32), flags="end-hidden")
+    >>> fruit.length_m, fruit.interval_high_m, fruit.at_least, fruit.whole_length
+    (0.31, 0.32, True, None)
     """
 
-    number: int
-    label: str = "cucumber"
-    score: float = 1.0
-    box_x1_px: float = 0.0
-    box_y1_px: float = 0.0
-    box_x2_px: float = 0.0
-    box_y2_px: float = 0.0
-    method: str | None = None
-    reason: str = ""
-    fallback: str = ""
-    flags: str = ""
-    centreline_m: float | None = None
-    thread_m: float | None = None
-    chord_m: float | None = None
-    inner_arc_m: float | None = None
-    diameter_max_m: float | None = None
-    diameter_mean_m: float | None = None
-    volume_m3: float | None = None
-    tilt_deg: float | None = None
-    hidden_share: float | None = None
-    mask_source: str | None = None
-    mask_px: int | None = None
-    fill: float | None = None
-    distance_m: float | None = None
-    stem_x_m: float | None = None
-    stem_y_m: float | None = None
-    stem_z_m: float | None = None
-    blossom_x_m: float | None = None
-    blossom_y_m: float | None = None
-    blossom_z_m: float | None = None
-    stem_confidence: float | None = None
-    cut_x_m: float | None = None
-    cut_y_m: float | None = None
-    cut_z_m: float | None = None
-    cut_xx_m2: float | None = None
-    cut_xy_m2: float | None = None
-    cut_xz_m2: float | None = None
-    cut_yy_m2: float | None = None
-    cut_yz_m2: float | None = None
-    cut_zz_m2: float | None = None
-    centre_x_m: float | None = None
-    centre_y_m: float | None = None
-    centre_z_m: float | None = None
-    offset_m: float | None = None
-    offset_sd_m: float | None = None
-    view_score: float = 0.0
-    length: Length | None = None
-    raw_length: Length | None = None
-    keypoints: tuple[Point, ...] = ()
-    mask: str | None = None
-    methods: tuple[MethodRecord, ...] = ()
+    def __init__(self, fruit: int = 1, /, **values: Any) -> None:
+        for before in ("", "raw_"):
+            if f"{before}length" in values:
+                values |= _length_cells(values.pop(f"{before}length"), before)
+        unknown = values.keys() - _ROW.keys() - _SHAPE.keys() - _PLACE.keys()
+        if unknown:
+            raise TypeError(f"a fruit's row has no {', '.join(sorted(unknown))}")
+        cells = {**_ROW, **_SHAPE, **_PLACE, "fruit": fruit, **values}
+        cells["at_least"] = is_lower_bound(cells["flags"].split())
+        super().__init__(**cells)
+
+    def __hash__(self) -> int:  # type: ignore[override]
+        return hash(self.key)
+
+    def with_(self, **values: Any) -> FruitRow:
+        """Return a copy with other values."""
+        return FruitRow(**{**vars(self), **values})
 
     @property
-    def length_m(self) -> float | None:
-        """The length's value, metres; None where nothing was measured."""
-        return None if self.length is None else self.length.value_m
+    def cells(self) -> dict[str, Any]:
+        """Its cells in the table of fruit."""
+        return {name: getattr(self, name) for name in _ROW}
+
+    @property
+    def shape(self) -> dict[str, Any]:
+        """Mask, keypoints, path and diameters, as JSON values."""
+        return {name: getattr(self, name) for name in _SHAPE}
+
+    @property
+    def length(self) -> Length | None:
+        """The length, None where nothing was measured."""
+        return stored_length(vars(self))
+
+    @property
+    def raw_length(self) -> Length | None:
+        """The length before the site's calibration."""
+        return stored_length(vars(self), "raw_")
 
     @property
     def known_length(self) -> Length | None:
@@ -273,8 +243,7 @@ class DetectionRecord:
 
         Examples
         --------
-        >>> from cucumbervision.measurement.result import Length
-        >>> DetectionRecord(1, length=Length(0.3), flags="depth-hollow").known_length is None
+        >>> FruitRow(1, length=Length(0.3), flags="depth-hollow").known_length is None
         True
         """
         return None if is_length_unknown(self.flags.split()) else self.length
@@ -289,37 +258,38 @@ class DetectionRecord:
         """The inner arc's height in mm for each 10 cm of chord; None where it is not known."""
         if self.inner_arc_m is None or not self.chord_m:
             return None
-        return 100 * self.inner_arc_m / self.chord_m
-
-    @property
-    def at_least(self) -> bool:
-        """Whether an end is out of sight, so that its length is a lower bound.
-
-        Examples
-        --------
-        >>> DetectionRecord(1, flags="sam-mask-small end-hidden").at_least
-        True
-        """
-        return is_lower_bound(self.flags.split())
+        return float(100 * self.inner_arc_m / self.chord_m)
 
     @property
     def partial(self) -> bool:
         """Whether its length may be a lower bound, since part of the fruit is out of sight.
 
-        In several views at once the edge of a leaf is at several places along the fruit, and is
-        not taken for its end.
-
         Examples
         --------
-        >>> DetectionRecord(1, hidden_share=0.25).partial
-        True
-        >>> DetectionRecord(1, hidden_share=0.05).partial
-        False
-        >>> DetectionRecord(1, hidden_share=0.25, reason="several-views").partial
-        False
+        >>> FruitRow(1, hidden_share=0.25).partial, FruitRow(1, hidden_share=0.05).partial
+        (True, False)
         """
-        hides = (self.hidden_share or 0.0) > _HIDDEN_SHARE
-        return self.at_least or (hides and self.reason != Choice.SEVERAL_VIEWS)
+        return bool(self.at_least or (self.hidden_share or 0.0) > _HIDDEN_SHARE)
+
+    @property
+    def best(self) -> bool:
+        """Whether this view represents its fruit."""
+        return bool(self.group == self.key)
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether it was added by hand, does not look like a fruit, and nobody accepted it."""
+        return "doubtful" in self.flags.split() and self.verdict is not Verdict.ACCEPTED
+
+
+def _length_cells(length: Length | None, before: str) -> dict[str, Any]:
+    """Return a length's cells in the table of fruit."""
+    values = (None,) * 6 if length is None else tuple(vars(length).values())
+    names = ("length_m", "length_kind", *(f"interval_{part}" for part in _INTERVAL))
+    return {
+        before + name: str(value) if isinstance(value, str) else value
+        for name, value in zip(names, values, strict=True)
+    }
 
 
 @dataclass(frozen=True)
@@ -332,7 +302,7 @@ class CaptureRecord:
         What the capture is called; unique within the stop.
     camera : mapping
         The colour intrinsics, as `capture.camera_file.CameraModel` writes them.
-    color, depth, thumbnail : ImageRef, optional
+    color, depth, thumbnail : str, optional
         Its pictures in the `ImageStore`.
     depth_unit_m : float, optional
         Metres of one step of the depth picture.
@@ -340,8 +310,8 @@ class CaptureRecord:
         Direction of gravity in camera coordinates that it was measured with.
     doubts : tuple of str, optional
         What its reader found doubtful, as `capture.frames.Doubt`; None for nothing.
-    fruit : tuple of DetectionRecord
-        Its fruit, each number once.
+    fruit : tuple of FruitRow
+        Its fruit, each number once; lists of stops leave them out.
     """
 
     name: str
@@ -359,10 +329,10 @@ class CaptureRecord:
     depth_unit_m: float | None = None
     gravity: tuple[float, float, float] | None = None
     doubts: tuple[str, ...] | None = None
-    color: ImageRef | None = None
-    depth: ImageRef | None = None
-    thumbnail: ImageRef | None = None
-    fruit: tuple[DetectionRecord, ...] = ()
+    color: str | None = None
+    depth: str | None = None
+    thumbnail: str | None = None
+    fruit: tuple[FruitRow, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -384,13 +354,21 @@ class StopRecord:
     taken_s : float
         When, seconds since 1970 (UTC).
     pose : tuple of float
-        The camera's pose, 4x4 row by row, where one is known.
+        The camera's pose, 4x4 row by row, where one is known; as it was saved.
+    note : str
+        What it is called beside its number.
     captures : tuple of CaptureRecord
         What was taken here.
     artifacts : tuple of ArtifactRecord
         Models, calibration and configuration that were used.
     failures : tuple of mapping
         What could not be read or measured, as `pipeline.measurer.Failure`.
+    mirrored : bool
+        Whether its side was corrected: offsets along the row count the other way.
+    fitted_m, fitted_sd_m : float, optional
+        Where the merging puts it.
+    fruit : int
+        How many fruit it shows, in a list.
     """
 
     key: str
@@ -401,46 +379,145 @@ class StopRecord:
     position_sd_m: float | None = None
     step: int | None = None
     taken_s: float = 0.0
-    pose: tuple[float, ...] = ()
+    pose: Point = ()
     note: str = ""
     captures: tuple[CaptureRecord, ...] = ()
     artifacts: tuple[ArtifactRecord, ...] = ()
     failures: tuple[Mapping[str, Any], ...] = ()
+    mirrored: bool = False
+    fitted_m: float | None = None
+    fitted_sd_m: float | None = None
+    fruit: int = 0
+
+    @property
+    def pose_now(self) -> Point:
+        """The pose on the side on which the stop is now."""
+        turned = tuple(-x for x in self.pose[:3]) + tuple(self.pose[3:])
+        return turned if self.mirrored else tuple(self.pose)
+
+    @property
+    def height_m(self) -> float:
+        """Height of the camera, as a pose file gave it; 0 without one."""
+        return float(self.pose[7]) if len(self.pose) == 16 else 0.0
+
+    @property
+    def camera(self) -> Mapping[str, Any]:
+        """The camera of the first capture; empty where there is none."""
+        return self.captures[0].camera if self.captures else {}
+
+    @property
+    def thumbnail(self) -> str | None:
+        """The small picture of the first capture."""
+        return self.captures[0].thumbnail if self.captures else None
+
+    def has_camera_of(self, stop: StopRecord) -> bool:
+        """Return whether both may have one camera: the same intrinsics, if known, and height."""
+        level = abs(self.height_m - stop.height_m) < _SAME_HEIGHT_M
+        return level and (not (self.camera and stop.camera) or self.camera == stop.camera)
 
 
 @dataclass(frozen=True)
-class JointRecord:
-    """The joint measurement of one fruit in several views.
+class DetectionFilter:
+    """Which fruit a list holds; what is None does not matter.
 
     Parameters
     ----------
-    key : str
-        Of these views as they are: changed by every change of one of them.
-    first : str
-        Key of the view in whose camera coordinates it is.
-    views : int
-        How many views the tube was fitted to; 0 where none was.
-    reason : str
-        'ok', or why no length comes of it: 'end-hidden', 'not-measured', 'no-picture',
-        'measured-differently' (with other calibrations).
-    record : DetectionRecord, optional
-        As measured; box, keypoints and view score are the first view's. Its mask is left out, and
-        lists leave out its method with the path as well.
-    poses : mapping of str to tuple of float
-        From the first view's camera coordinates to those of each view used, by their keys: 4x4,
-        row by row. Lists leave them out.
+    row, stop_key : str, optional
+        Of that row or stop.
+    verdict : Verdict, optional
+        So marked.
+    min_length_m : float, optional
+        From that length, metres; fruit without a length are left out then.
+    best : bool
+        Only the representative view of each fruit: every fruit once.
     """
 
-    key: str
-    first: str
-    views: int
-    reason: str = "ok"
-    record: DetectionRecord | None = None
-    poses: Mapping[str, Point] = field(default_factory=dict)
+    row: str | None = None
+    stop_key: str | None = None
+    verdict: Verdict | None = None
+    min_length_m: float | None = None
+    best: bool = False
+
+    def keeps(self, fruit: FruitRow) -> bool:
+        """Return whether a fruit belongs into the list."""
+        conditions = (
+            (self.row, fruit.row),
+            (self.stop_key, fruit.stop_key),
+            (self.verdict, fruit.verdict),
+        )
+        if any(want is not None and want != has for want, has in conditions):
+            return False
+        if self.min_length_m is not None and (fruit.length_m or 0.0) < self.min_length_m:
+            return False
+        return fruit.best or not self.best
 
 
-def record_json(record: Any) -> dict[str, Any]:
-    """Return any record as JSON values.
+@dataclass(frozen=True)
+class LogEntry:
+    """What a person decided.
+
+    Parameters
+    ----------
+    number : int
+        Its number; later ones have higher ones.
+    at_s : float
+        When, seconds since 1970 (UTC).
+    by : str
+        Who.
+    kind : str
+        'accept', 'reject', 'clear', 'pick', 'unpick', 'correct', 'add', 'merge', 'unmerge',
+        'link-growth', 'unlink-growth', 'place-stop', 'delete-stop', 'take-back-stop',
+        'rename-round', 'move-round', 'delete-round' or 'undo'.
+    round_key : str, optional
+        Of its last fruit: of growth between two rounds the later.
+    fruit : tuple of str
+        Keys of the fruit.
+    details : mapping
+        What else belongs to it.
+    undone : bool
+        Whether a later line took this one back.
+    """
+
+    number: int
+    at_s: float
+    by: str
+    kind: str
+    round_key: str | None
+    fruit: tuple[str, ...]
+    details: Mapping[str, Any] = field(default_factory=dict)
+    undone: bool = False
+
+
+@dataclass(frozen=True)
+class DetectionDetail:
+    """One detection with everything.
+
+    Parameters
+    ----------
+    view : FruitRow
+        As in lists, with its mask, keypoints and path.
+    original : FruitRow
+        As it was first measured.
+    capture : CaptureRecord
+        Its capture, with all fruit of it.
+    stop : StopRecord
+        Its stop, with all captures.
+    links : tuple of LinkRecord
+        What it is linked to.
+    log : tuple of LogEntry
+        What was done to it by hand, newest first.
+    """
+
+    view: FruitRow
+    original: FruitRow
+    capture: CaptureRecord
+    stop: StopRecord
+    links: tuple[LinkRecord, ...]
+    log: tuple[LogEntry, ...]
+
+
+def record_json(record: Any) -> Any:
+    """Return values of a record as JSON values.
 
     Raises
     ------
@@ -449,21 +526,12 @@ def record_json(record: Any) -> dict[str, Any]:
 
     Examples
     --------
-    >>> record_json(MethodRecord("M1", 0.21))["length_m"]
-    0.21
+    >>> record_json({"path_m": ((0.1, 0.2),)})
+    {'path_m': [[0.1, 0.2]]}
     """
     try:
-        text = json.dumps(record, default=_values_of, allow_nan=False)
-        values: dict[str, Any] = json.loads(text)
+        return json.loads(json.dumps(record, default=vars, allow_nan=False))
     except (ValueError, TypeError) as error:
         raise StoreError(
             f"the record cannot be stored ({error})", remedy="give finite numbers and plain values"
         ) from None
-    return values
-
-
-def _values_of(value: object) -> dict[str, Any]:
-    """Return the fields of a record; `asdict` would copy every value inside them first."""
-    if not is_dataclass(value):
-        raise TypeError(f"{type(value).__name__} has no form in JSON")
-    return {column.name: getattr(value, column.name) for column in fields(value)}

@@ -1,74 +1,85 @@
-"""The store: rounds, stops and detections in a database, their pictures beside it."""
+"""The store: rounds, stops and fruit in a database, their pictures beside it."""
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from collections import Counter, defaultdict
+from collections.abc import Mapping
+from dataclasses import fields, replace
+from math import hypot
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from sqlalchemy import and_, delete, func, or_, select
+from sqlalchemy import and_, func, insert, or_, select, update
+from sqlalchemy.dialects import postgresql, sqlite
 
-from cucumbervision.errors import StoreConflictError, StoreError
-from cucumbervision.files import adapter
+from cucumbervision.errors import StoreConflictError, StoreError, wrap_reader_errors
 from cucumbervision.names import checked_name, same_house
-from cucumbervision_greenhouse.store.cells import (
-    cells_by_name,
-    cells_of,
-    change,
-    columns_of,
-    decoding,
-    insert_all,
-    insert_new,
-    round_id_of,
-    row_id_of,
-)
-from cucumbervision_greenhouse.store.corrections import (
-    Corrections,
-    find_detections,
-    forget_links,
-    lock_rounds,
-    mark_added,
-    original_names,
-)
 from cucumbervision_greenhouse.store.engine import database_url, make_engine, named, prepare
 from cucumbervision_greenhouse.store.images import ImageStore
-from cucumbervision_greenhouse.store.links import LinkKind
-from cucumbervision_greenhouse.store.queries import Queries
+from cucumbervision_greenhouse.store.links import Candidate, LinkKind, representative_views
+from cucumbervision_greenhouse.store.marks import (
+    IS_ACTIVE,
+    NOT_UNDONE,
+    Marks,
+    check_place,
+    find_fruit,
+    forget_links,
+    links_of,
+    lock_rounds,
+    marks_of,
+    original_names,
+    round_id_of,
+    write_mark,
+)
 from cucumbervision_greenhouse.store.records import (
-    JointRecord,
+    ArtifactRecord,
+    CaptureRecord,
+    DetectionDetail,
+    FruitRow,
+    LogEntry,
     Round,
     Saved,
     StopRecord,
+    Verdict,
     checked_key,
     key_of,
     record_json,
 )
 from cucumbervision_greenhouse.store.schema import (
-    ROUND_CELLS,
-    CaptureLine,
-    DetectionLine,
-    JointLine,
-    LinkLine,
-    RoundLine,
-    StopLine,
-)
-from cucumbervision_greenhouse.store.stop_content import (
-    add_content,
-    add_detections,
-    checked_stop,
+    CAPTURES,
+    FRUIT,
+    LINKS,
+    MARKS,
+    ROUNDS,
+    SHAPES,
+    STOPS,
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping, Sequence
+    from collections.abc import Sequence
 
-    from sqlalchemy import Connection
+    from sqlalchemy import ColumnElement, Connection, Table
 
     from cucumbervision_greenhouse.store.links import LinkRecord, Position
-    from cucumbervision_greenhouse.store.records import DetectionRecord
+    from cucumbervision_greenhouse.store.records import DetectionFilter
 
-_LISTED_NAMES = ("key", "first", "views", "reason", "record")
-_LISTED = columns_of(JointLine, _LISTED_NAMES)
-_STOP_CELLS = ("key", "side", "position_m", "position_sd_m", "step", "taken_s", "note")
+ValueT = TypeVar("ValueT")
+
+_ROUND_CELLS = ("key", "name", "house", "started_s", "profile", "note")
+_STOP_CELLS = (
+    *("key", "row", "side", "position_m", "position_sd_m", "step", "taken_s", "pose", "note"),
+    *("failures", "mirrored", "fitted_m", "fitted_sd_m"),
+)
+_CAPTURE_CELLS = ("name", "simulated", "color", "depth", "thumbnail")
+_CAPTURE_RECORD = tuple(
+    column.name for column in fields(CaptureRecord) if column.name not in (*_CAPTURE_CELLS, "fruit")
+)
+_ROW_CELLS = tuple(
+    column
+    for column in FRUIT.c
+    if column.name not in ("id", "key", "capture_id", "round_id", "deleted")
+)
+_UNDONE_AMONG = 500  # newest lines of the log
 
 
 def open_store(where: str | Path, *, images: Path | None = None, create: bool = True) -> Store:
@@ -97,16 +108,16 @@ def open_store(where: str | Path, *, images: Path | None = None, create: bool = 
     --------
     >>> import tempfile
     >>> from cucumbervision.measurement.result import Length
-    >>> from cucumbervision_greenhouse.store.records import CaptureRecord, DetectionRecord, Round
+    >>> from cucumbervision_greenhouse.store.records import CaptureRecord, FruitRow, Round
     >>> from cucumbervision_greenhouse.store.records import StopRecord, new_key
     >>> walk, stop = Round(name="morning"), new_key()
-    >>> capture = CaptureRecord("a", fruit=(DetectionRecord(1, length=Length(0.31)),))
+    >>> capture = CaptureRecord("a", fruit=(FruitRow(1, length=Length(0.31)),))
     >>> record = StopRecord(stop, walk.key, row="3", position_m=1.2, captures=(capture,))
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     with open_store(Path(folder) / "house.db") as store:
     ...         print(store.save_round(walk), store.save_stop(record), store.save_stop(record))
     ...         [fruit] = store.detections(walk.key)
-    ...         print(fruit.row, fruit.along_m, fruit.record.length_m)
+    ...         print(fruit.row, fruit.along_m, fruit.length_m)
     new new already-there
     3 1.2 0.31
     """
@@ -134,12 +145,12 @@ def open_store(where: str | Path, *, images: Path | None = None, create: bool = 
     return Store(engine, images)
 
 
-class Store(Queries, Corrections):
+class Store(Marks):
     """An open store; `open_store` makes it. Any number of threads may use one.
 
     Each method is one transaction: what it writes is there whole or not at all, and on the disk
-    when it returns. All raise `StoreError` where the database reports an error, or a key is not
-    there.
+    when it returns; what it reads is as it was when it began. All raise `StoreError` where the
+    database reports an error, or a key is not there.
     """
 
     def save_round(self, record: Round) -> Saved:
@@ -155,30 +166,26 @@ class Store(Queries, Corrections):
         NameRefusedError
             If one of its names is none.
         """
-        record = replace(
-            record,
-            key=checked_key(record.key, "round"),
-            name=checked_name(record.name, "round's name"),
-            house=checked_name(record.house, "house"),
-        )
+        sent_house = checked_name(record.house, "house")
+        cells = {
+            **{name: getattr(record, name) for name in _ROUND_CELLS},
+            "key": checked_key(record.key, "round"),
+            "name": checked_name(record.name, "round's name"),
+        }
         with self.writing() as connection:
-            house_query = select(RoundLine.house).where(
-                or_(~RoundLine.deleted, RoundLine.key == record.key)
-            )
-            houses = connection.execute(house_query.order_by(RoundLine.id)).scalars()
-            sent_house = record.house
-            record = replace(record, house=same_house(record.house, houses))
-            cells = {**cells_by_name(record, ROUND_CELLS), "deleted": False}
-            if insert_new(connection, RoundLine, cells, "key") is not None:
+            there = or_(~ROUNDS.c.deleted, ROUNDS.c.key == cells["key"])
+            houses = select(ROUNDS.c.house).where(there).order_by(ROUNDS.c.id)
+            cells["house"] = same_house(sent_house, connection.execute(houses).scalars())
+            if _insert_new(connection, ROUNDS, cells) is not None:
                 return Saved.NEW
-            columns = columns_of(RoundLine, ROUND_CELLS)
-            values = connection.execute(select(*columns).where(RoundLine.key == record.key)).one()
-            first = Round(*values)
-            names = original_names(connection, record.key)
-            house = names.get("house", first.house)
-            first = replace(first, name=names.get("name", first.name), house=house)
-            if first != replace(record, house=same_house(sent_house, [house])):
-                raise _conflict("round", record.key)
+            columns = [ROUNDS.c[name] for name in _ROUND_CELLS]
+            line = connection.execute(select(*columns).where(ROUNDS.c.key == cells["key"])).one()
+            first = {**line._mapping, **original_names(connection, cells["key"])}
+            if first != {**cells, "house": same_house(sent_house, [first["house"]])}:
+                raise StoreConflictError(
+                    f"round {cells['key']} is already stored with another content",
+                    remedy="give what differs a key of its own, from records.new_key()",
+                )
             return Saved.ALREADY_THERE
 
     def save_stop(self, stop: StopRecord) -> Saved:
@@ -192,43 +199,39 @@ class Store(Queries, Corrections):
         NameRefusedError
             If its row, its side or a capture's name is none.
         StoreError
-            If its round does not exist, a key is not a UUID, or two captures have the same name or
-            two fruit of a capture the same number.
+            If its round is not there, or it holds what no database takes.
         """
-        stop = checked_stop(stop)
+        stop = _checked_stop(stop)
         with self.writing() as connection:
-            missing = "save the round first"
-            round_id = round_id_of(connection, stop.round_key, remedy=missing)
-            cells = {
-                **cells_by_name(stop, _STOP_CELLS),
-                "round_id": round_id,
-                "row_id": None if stop.row is None else row_id_of(connection, round_id, stop.row),
-                "pose": list(stop.pose),
-                "failures": [dict(failure) for failure in stop.failures],
-            }
-            stop_id = insert_new(connection, StopLine, cells, "key")
+            round_id = round_id_of(connection, stop.round_key, remedy="save the round first")
+            cells = {name: getattr(stop, name) for name in (*_STOP_CELLS, "artifacts")}
+            for name in ("pose", "failures", "artifacts"):
+                cells[name] = record_json(cells[name])
+            stop_id = _insert_new(connection, STOPS, {**cells, "round_id": round_id})
             if stop_id is None:
                 return Saved.ALREADY_THERE
-            # The same keys on every machine: from the stop's, the capture's place, the number.
-            keys = [
-                [key_of("fruit", stop.key, number, fruit.number) for fruit in capture.fruit]
-                for number, capture in enumerate(stop.captures)
-            ]
-            add_content(connection, stop_id, round_id, stop, keys)
+            for number, capture in enumerate(stop.captures):
+                cells = {name: getattr(capture, name) for name in _CAPTURE_CELLS}
+                cells |= {"stop_id": stop_id, "number": number}
+                cells["record"] = record_json({n: getattr(capture, n) for n in _CAPTURE_RECORD})
+                line = insert(CAPTURES).values(**cells).returning(CAPTURES.c.id)
+                capture_id = connection.execute(line).scalar_one()
+                # The same keys on every machine: of the stop's, the capture's place, the number.
+                keys = [key_of("fruit", stop.key, number, row.fruit) for row in capture.fruit]
+                _add_fruit(connection, capture_id, round_id, keys, capture.fruit)
         return Saved.NEW
 
-    def add_fruit(self, stop_key: str, capture: str, record: DetectionRecord) -> str:
-        """Add a fruit that was not found; logged. Return its key.
+    def add_fruit(self, stop_key: str, capture: str, row: FruitRow) -> str:
+        """Add a fruit that was not found, as a mark. Return its key.
 
-        It is accepted, unless it is flagged as doubtful.
-
-        After `undo` it is left out of all lists, and its number is not used again.
+        It is accepted, unless it is flagged as doubtful. Where that is taken back it is left out of
+        all lists, and its number is not used again.
 
         Parameters
         ----------
         stop_key, capture : str
             Where it was seen: the stop, and the capture's name in it.
-        record : DetectionRecord
+        row : FruitRow
             As it was measured; it gets the capture's next number.
 
         Raises
@@ -237,27 +240,27 @@ class Store(Queries, Corrections):
             If the stop is not there, or has no such capture.
         """
         stop_key = checked_key(stop_key, "stop")
-        capture_query = (
-            select(CaptureLine.id, CaptureLine.number, StopLine.round_id)
-            .join(StopLine, StopLine.id == CaptureLine.stop_id)
-            .where(StopLine.key == stop_key, CaptureLine.name == capture, ~StopLine.deleted)
+        query = (
+            select(CAPTURES.c.id, CAPTURES.c.number, STOPS.c.round_id)
+            .join(STOPS, STOPS.c.id == CAPTURES.c.stop_id)
+            .where(STOPS.c.key == stop_key, CAPTURES.c.name == capture, ~STOPS.c.deleted)
         )
         with self.writing() as connection:
-            capture_cells = connection.execute(capture_query).one_or_none()
-            if capture_cells is None:
+            line = connection.execute(query).one_or_none()
+            if line is None:
                 raise StoreError(
                     f"stop {stop_key} has no capture '{capture}'", remedy="look it up in stop()"
                 )
-            capture_id, place, round_id = capture_cells
-            lock_rounds(connection, [round_id])
-            highest = select(func.max(DetectionLine.number)).where(
-                DetectionLine.capture_id == capture_id
-            )
+            lock_rounds(connection, [line.round_id])
+            highest = select(func.max(FRUIT.c.fruit)).where(FRUIT.c.capture_id == line.id)
             number = (connection.execute(highest).scalar() or 0) + 1
-            key = key_of("fruit", stop_key, place, number)
-            numbered = replace(record, number=number)
-            add_detections(connection, capture_id, round_id, [key], [numbered])
-            mark_added(connection, key, accept="doubtful" not in record.flags.split())
+            key = key_of("fruit", stop_key, line.number, number)
+            _add_fruit(connection, line.id, line.round_id, [key], [row.with_(fruit=number)])
+            details: dict[str, Any] = {"table": "fruit", "key": key}
+            details |= {"before": {"deleted": True}, "after": {"deleted": False}}
+            if "doubtful" not in row.flags.split():
+                details["verdict"] = "accept"
+            write_mark(connection, "add", line.round_id, [key], details)
         return key
 
     def save_merging(
@@ -265,134 +268,270 @@ class Store(Queries, Corrections):
         round_key: str,
         links: Sequence[LinkRecord],
         positions: Mapping[str, Position] | None = None,
-    ) -> int:
-        """Replace a round's links of `LinkKind.SAME` and its stops' fitted positions.
-
-        Returns
-        -------
-        int
-            How many links were written; those of pairs that were decided by hand were not.
-        """
+    ) -> None:
+        """Replace a round's links of `LinkKind.SAME` and its stops' fitted positions."""
         with self.writing() as connection:
             round_id = round_id_of(connection, round_key)
             lock_rounds(connection, [round_id])
             forget_links(connection, LinkKind.SAME, (round_id, round_id))
-            in_round = StopLine.round_id == round_id
-            nowhere = {"fitted_m": None, "fitted_sd_m": None}
-            change(connection, StopLine, in_round, **nowhere)
+            stops = update(STOPS).where(STOPS.c.round_id == round_id)
+            connection.execute(stops.values(fitted_m=None, fitted_sd_m=None))
             for key, position in (positions or {}).items():
-                values = {"fitted_m": position.at_m, "fitted_sd_m": position.sd_m}
-                if change(connection, StopLine, and_(in_round, StopLine.key == key), **values) != 1:
+                fitted = {"fitted_m": position.at_m, "fitted_sd_m": position.sd_m}
+                line = stops.where(STOPS.c.key == key).values(**fitted)
+                if connection.execute(line).rowcount != 1:
                     raise StoreError(
                         f"stop {key} is not in round {round_key}", remedy="see stops()"
                     )
-            return _add_links(connection, LinkKind.SAME, links, (round_id, round_id))
+            _add_links(connection, LinkKind.SAME, links, (round_id, round_id))
 
-    def save_growth(self, earlier: str, later: str, links: Sequence[LinkRecord]) -> int:
-        """Replace the links of `LinkKind.GROWTH` between two rounds.
-
-        Returns
-        -------
-        int
-            How many links were written; those of pairs that were decided by hand were not.
-        """
+    def save_growth(self, earlier: str, later: str, links: Sequence[LinkRecord]) -> None:
+        """Replace the links of `LinkKind.GROWTH` between two rounds."""
         with self.writing() as connection:
             rounds = round_id_of(connection, earlier), round_id_of(connection, later)
             lock_rounds(connection, rounds)
             forget_links(connection, LinkKind.GROWTH, rounds)
-            return _add_links(connection, LinkKind.GROWTH, links, rounds)
+            _add_links(connection, LinkKind.GROWTH, links, rounds)
 
-    def save_joint(
-        self, round_key: str, records: Sequence[JointRecord], keep: Collection[str]
-    ) -> None:
-        """Add joint measurements of a round; of the older ones only those of some keys stay."""
-        with self.writing() as connection:
-            round_id = round_id_of(connection, round_key)
-            lock_rounds(connection, [round_id])
-            key_query = select(JointLine.key).where(JointLine.round_id == round_id)
-            stays = {*keep, *(joint.key for joint in records)}
-            gone = [key for key in connection.execute(key_query).scalars() if key not in stays]
-            for key in gone:
-                connection.execute(delete(JointLine).where(JointLine.key == key))
-            for joint in records:
-                methods = (
-                    [asdict(method) for method in joint.record.methods] if joint.record else []
-                )
-                drawing = {
-                    "methods": methods,
-                    "poses": {k: list(v) for k, v in joint.poses.items()},
-                }
-                cells = {
-                    "key": joint.key,
-                    "round_id": round_id,
-                    "first": joint.first,
-                    "views": joint.views,
-                    "reason": joint.reason,
-                    "record": joint.record and record_json(replace(joint.record, methods=())),
-                    "drawing": drawing,
-                }
-                insert_new(connection, JointLine, cells, "key")
+    def rounds(self, *, deleted: bool = False) -> list[Round]:
+        """Return the rounds, the newest first.
 
-    def joint(self, round_key: str) -> dict[str, JointRecord]:
-        """Return a round's joint measurements by their keys, without paths and poses."""
-        query = (
-            select(*_LISTED)
-            .join(RoundLine, RoundLine.id == JointLine.round_id)
-            .where(RoundLine.key == round_key)
+        `deleted` gives those that were deleted instead.
+        """
+        return self._rounds(ROUNDS.c.deleted == deleted)
+
+    def round(self, key: str) -> Round | None:
+        """Return a round; None where it is not there or was deleted.
+
+        Much faster than `rounds`, which counts the fruit of all.
+        """
+        try:
+            key = checked_key(key, "round")
+        except StoreError:  # no round has such a key
+            return None
+        return next(iter(self._rounds(~ROUNDS.c.deleted, ROUNDS.c.key == key)), None)
+
+    def _rounds(self, *only: ColumnElement[bool]) -> list[Round]:
+        of_round = and_(STOPS.c.round_id == ROUNDS.c.id, ~STOPS.c.deleted)
+        fruit = and_(FRUIT.c.round_id == ROUNDS.c.id, IS_ACTIVE)
+        query = select(
+            *(ROUNDS.c[name] for name in _ROUND_CELLS),
+            select(func.count(STOPS.c.id)).where(of_round).scalar_subquery(),
+            select(func.count(FRUIT.c.id)).where(fruit).scalar_subquery(),
+            select(func.max(STOPS.c.taken_s)).where(of_round).scalar_subquery(),
         )
+        newest_first = ROUNDS.c.started_s.desc(), ROUNDS.c.id.desc()
         with self.reading() as connection:
-            rows = cells_of(connection, query)
-            with decoding(connection):
-                return {row[0]: _joint_of(row) for row in rows}
+            lines: Any = connection.execute(query.where(*only).order_by(*newest_first))
+            return [Round(*line) for line in lines]
 
-    def joint_drawing(self, round_key: str, key: str) -> JointRecord:
-        """Return one joint measurement with everything: the tube's path, and the cameras' poses.
+    def stop_is_deleted(self, key: str) -> bool | None:
+        """Return whether a stop was deleted; None where it never was in the store."""
+        query = select(STOPS.c.deleted).where(STOPS.c.key == checked_key(key, "stop"))
+        with self.reading() as connection:
+            return connection.execute(query).scalar()
+
+    def stops(self, round_key: str) -> list[StopRecord]:
+        """Return a round's stops in the order in which they were made, without their fruit."""
+        count = select(func.count(FRUIT.c.id)).join(CAPTURES, CAPTURES.c.id == FRUIT.c.capture_id)
+        with self.reading() as connection, self._decoding():
+            in_round = STOPS.c.round_id == round_id_of(connection, round_key)
+            query = (
+                select(
+                    STOPS.c.id,
+                    *(STOPS.c[name] for name in _STOP_CELLS),
+                    count.where(CAPTURES.c.stop_id == STOPS.c.id, IS_ACTIVE)
+                    .scalar_subquery()
+                    .label("fruit"),
+                )
+                .where(in_round, ~STOPS.c.deleted)
+                .order_by(STOPS.c.taken_s, STOPS.c.id)
+            )
+            captures = _captures_of(connection, in_round)
+            return [
+                _stop_of(round_key, captures.get(stop_id, ()), dict(zip(names, cells, strict=True)))
+                for names in [(*_STOP_CELLS, "fruit")]
+                for stop_id, *cells in connection.execute(query)
+            ]
+
+    def stop(self, key: str) -> StopRecord:
+        """Return a stop with all its data: as it was saved, but at its corrected place.
 
         Raises
         ------
         StoreError
             If it is not there.
         """
+        key = checked_key(key, "stop")
+        columns = [STOPS.c[name] for name in (*_STOP_CELLS, "artifacts")]
         query = (
-            select(*_LISTED, JointLine.drawing)
-            .join(RoundLine, RoundLine.id == JointLine.round_id)
-            .where(and_(RoundLine.key == round_key, JointLine.key == key))
+            select(STOPS.c.id, ROUNDS.c.key.label("round_key"), *columns)
+            .join(ROUNDS, ROUNDS.c.id == STOPS.c.round_id)
+            .where(STOPS.c.key == key)
         )
+        with self.reading() as connection, self._decoding():
+            line = connection.execute(query).one_or_none()
+            if line is None:
+                raise StoreError(
+                    "stop {key} is not in the store", remedy="look it up in stops()", key=key
+                )
+            stop_id, round_key, *cells = line
+            names = (*_STOP_CELLS, "artifacts")
+            fruit = _fruit_of(connection, STOPS.c.id == stop_id)
+            captures = _captures_of(connection, STOPS.c.id == stop_id, fruit)
+            values = dict(zip(names, cells, strict=True))
+            values["artifacts"] = tuple(ArtifactRecord(**made) for made in values["artifacts"])
+            values |= {"fitted_m": None, "fitted_sd_m": None}
+            return _stop_of(round_key, captures.get(stop_id, ()), values)
+
+    def artifacts(self, round_key: str) -> dict[str, tuple[ArtifactRecord, ...]]:
+        """Return what the stops of a round were measured with, by the stops' keys."""
+        with self.reading() as connection, self._decoding():
+            in_round = STOPS.c.round_id == round_id_of(connection, round_key)
+            query = select(STOPS.c.key, STOPS.c.artifacts).where(in_round, ~STOPS.c.deleted)
+            return {
+                key: tuple(ArtifactRecord(**made) for made in artifacts)
+                for key, artifacts in connection.execute(query.order_by(STOPS.c.id))
+            }
+
+    def detections(
+        self, round_key: str, only: DetectionFilter | None = None, *, shapes: bool = False
+    ) -> list[FruitRow]:
+        """Return a round's fruit in the order of its stops, or those that a filter keeps.
+
+        `DetectionFilter(best=True)` gives every fruit once, however often it was seen; `shapes`
+        adds mask, keypoints and path.
+        """
+        with self.reading() as connection, self._decoding():
+            round_id = round_id_of(connection, round_key)
+            views = _views_of(connection, round_key, round_id, shapes=shapes)
+        return [view for view in views if only is None or only.keeps(view)]
+
+    def detection(self, key: str) -> DetectionDetail:
+        """Return one fruit of one capture with everything.
+
+        Raises
+        ------
+        StoreError
+            If it is not there.
+        """
+        with self.reading() as connection, self._decoding():
+            [line] = find_fruit(connection, [key])
+            query = select(ROUNDS.c.key).where(ROUNDS.c.id == line.round_id)
+            round_key = connection.execute(query).scalar_one()
+            views = _views_of(connection, round_key, line.round_id)
+            [view] = [view for view in views if view.key == line.key]
+            [shaped] = _views_of(connection, round_key, line.round_id, line.key, shapes=True)
+            links = links_of(connection, line.round_id)
+            log = _log_of(connection, round_key, None)
+        stop = self.stop(view.stop_key)
+        [capture] = [capture for capture in stop.captures if capture.name == view.capture]
+        [original] = [row for row in capture.fruit if row.fruit == view.fruit]
+        return DetectionDetail(
+            view=view.with_(**shaped.shape),
+            original=original,
+            capture=capture,
+            stop=stop,
+            links=tuple(link for link in links if line.key in (link.first, link.second)),
+            log=tuple(mark for mark in log if line.key in mark.fruit),
+        )
+
+    def picked(self, round_key: str) -> dict[str, float]:
+        """Return the times of picking by the fruit's keys."""
         with self.reading() as connection:
-            rows = cells_of(connection, query)
-            if not rows:
-                raise StoreError(f"joint measurement {key} is not there", remedy="merge again")
-            with decoding(connection):
-                *cells, drawing = rows[0]
-                return _joint_of(cells, drawing)
+            marks = marks_of(connection, round_id_of(connection, round_key))
+        times = {key: decided.get("picked_s") for key, decided in marks.items()}
+        return {key: at_s for key, at_s in times.items() if at_s is not None}
+
+    def links(self, round_key: str, kind: LinkKind | None = None) -> list[LinkRecord]:
+        """Return the links that touch a round; of growth both from earlier and to later rounds."""
+        with self.reading() as connection:
+            return links_of(connection, round_id_of(connection, round_key), kind)
+
+    def newest_action(self, round_key: str, without: Sequence[str] = ()) -> int:
+        """Return the number of a round's newest mark but of some kinds; 0 where it has none."""
+        with self.reading() as connection:
+            newest = select(func.max(MARKS.c.id)).where(
+                MARKS.c.round_id == round_id_of(connection, round_key), MARKS.c.kind.not_in(without)
+            )
+            return int(connection.execute(newest).scalar() or 0)
+
+    def log(self, round_key: str | None = None, *, limit: int | None = 200) -> list[LogEntry]:
+        """Return what people decided, the newest first."""
+        with self.reading() as connection, self._decoding():
+            return _log_of(connection, round_key, limit)
+
+    def own_actions(self, round_key: str) -> list[LogEntry]:
+        """Return the marks in a round that the store's signer can undo, the newest first.
+
+        That is what was done by that person from that device. Without any: what was done by nobody
+        in particular, as by a command.
+        """
+        with self.reading() as connection, self._decoding():
+            round_id = round_id_of(connection, round_key)
+            of_round = select(FRUIT.c.key).where(FRUIT.c.round_id == round_id)
+            fruit = set(connection.execute(of_round).scalars())
+            lines = [
+                line
+                for line in _log_of(connection, None, _UNDONE_AMONG)
+                if not line.undone
+                and line.kind not in NOT_UNDONE
+                # Growth is logged in the later of two rounds.
+                and (line.round_key == round_key or not fruit.isdisjoint(line.fruit))
+            ]
+        by = [(line.details.get("device", ""), line.by) for line in lines]
+        own = (self._device, self._signed_by)
+        of_person = [line for line, who in zip(lines, by, strict=True) if who == own]
+        return of_person or [line for line, who in zip(lines, by, strict=True) if who == ("", "")]
+
+    def _decoding(self) -> Any:
+        """Report what no record can be made of as damaged data."""
+        remedy = "copy the database away, and check it with `round check`"
+        return wrap_reader_errors(self.name, StoreError, remedy)
 
 
-def _conflict(what: str, key: str) -> StoreConflictError:
-    return StoreConflictError(
-        f"{what} {key} is already stored with another content",
-        remedy="give what differs a key of its own, from records.new_key()",
-    )
+def _insert_new(connection: Connection, table: Table, cells: dict[str, Any]) -> int | None:
+    """Insert one line and return its id; None where one with its key is there already.
+
+    Where another transaction is just inserting the same key, PostgreSQL waits for its end.
+    """
+    dialect: Any = sqlite if connection.dialect.name == "sqlite" else postgresql
+    line = dialect.insert(table).values(**cells).on_conflict_do_nothing(index_elements=["key"])
+    line_id: int | None = connection.execute(line.returning(table.c.id)).scalar()
+    return line_id
 
 
-def _joint_of(row: Sequence[Any], drawing: Mapping[str, Any] | None = None) -> JointRecord:
-    """Return a joint measurement from its cells; with its drawing, which lists leave out."""
-    values = dict(zip(_LISTED_NAMES, row, strict=True))
-    if drawing is not None:
-        values["poses"] = drawing["poses"]
-        if values["record"] is not None:
-            values["record"] = {**values["record"], "methods": drawing["methods"]}
-    joint: JointRecord = adapter(JointRecord).validate_python(values)
-    return joint
+def _add_fruit(
+    connection: Connection,
+    capture_id: int,
+    round_id: int,
+    keys: Sequence[str],
+    rows: Sequence[FruitRow],
+) -> None:
+    """Add fruit of a capture under these keys."""
+    if not rows:
+        return
+    lines = [
+        {**row.cells, "key": key, "capture_id": capture_id, "round_id": round_id}
+        for key, row in zip(keys, rows, strict=True)
+    ]
+    add = insert(FRUIT).returning(FRUIT.c.id, sort_by_parameter_order=True)
+    ids = connection.execute(add, lines).scalars().all()
+    shapes = [record_json(row.shape) for row in rows]
+    lines = [
+        {"fruit_id": fruit_id, "mask": shape.pop("mask"), "record": shape}
+        for fruit_id, shape in zip(ids, shapes, strict=True)
+    ]
+    connection.execute(insert(SHAPES), lines)
 
 
 def _add_links(
     connection: Connection, kind: LinkKind, links: Sequence[LinkRecord], rounds: tuple[int, int]
-) -> int:
+) -> None:
     if not links:
-        return 0
+        return
     keys = sorted({key for link in links for key in (link.first, link.second)})
-    ids = dict(zip(keys, find_detections(connection, keys), strict=True))
-    decided = _decided_pairs(connection, rounds)
+    ids = {line.key: line for line in find_fruit(connection, keys)}
     lines = {}
     for link in links:
         first, second = ids[link.first], ids[link.second]
@@ -402,26 +541,216 @@ def _add_links(
                 f"the link of {link.first} and {link.second} is not '{kind}' of these rounds",
                 remedy="link two fruit of the rounds named, the earlier first",
             )
-        pair = frozenset((first.id, second.id))
-        if pair not in decided:
-            cells = {
-                "kind": str(kind),
-                "first_id": first.id,
-                "second_id": second.id,
-                "first_round_id": rounds[0],
-                "second_round_id": rounds[1],
-                "score": link.score,
-            }
-            lines[pair] = cells
-    insert_all(connection, LinkLine, list(lines.values()))
-    return len(lines)
+        lines[frozenset((first.id, second.id))] = {
+            "kind": str(kind),
+            "first_id": first.id,
+            "second_id": second.id,
+            "first_round_id": rounds[0],
+            "second_round_id": rounds[1],
+            "score": link.score,
+        }
+    connection.execute(insert(LINKS), list(lines.values()))
 
 
-def _decided_pairs(connection: Connection, rounds: tuple[int, int]) -> set[frozenset[int]]:
-    query = select(LinkLine.first_id, LinkLine.second_id).where(
-        LinkLine.action_id.is_not(None),
-        LinkLine.ended_by_id.is_(None),
-        LinkLine.first_round_id.in_(rounds),
-        LinkLine.second_round_id.in_(rounds),
+def _checked_stop(stop: StopRecord) -> StopRecord:
+    """Return a stop with its keys in canonical form, after checking its names.
+
+    Texts that are no names, such as the files that captures are from, are made readable.
+    """
+    check_place(stop)
+    for capture in stop.captures:
+        checked_name(capture.name, "capture's name", longest=None)
+        _check_once([row.fruit for row in capture.fruit], capture.name, "fruit have number")
+    _check_once([capture.name for capture in stop.captures], stop.key, "captures are called")
+    return replace(
+        stop,
+        key=checked_key(stop.key, "stop"),
+        round_key=checked_key(stop.round_key, "round"),
+        captures=tuple(
+            replace(
+                capture,
+                source=_storable(capture.source),
+                provenance=_storable(capture.provenance),
+            )
+            for capture in stop.captures
+        ),
+        artifacts=tuple(
+            replace(artifact, name=_storable(artifact.name), details=_storable(artifact.details))
+            for artifact in stop.artifacts
+        ),
+        failures=_storable(stop.failures),
     )
-    return {frozenset((first, second)) for first, second in connection.execute(query)}
+
+
+def _storable(value: ValueT) -> ValueT:
+    """Return JSON values with a question mark for what no database takes.
+
+    That is a null, and half of a surrogate pair, as which Python reads the bytes of a file's name
+    that are no text.
+    """
+    if isinstance(value, str):
+        return type(value)(value.encode(errors="replace").decode().replace("\0", "?"))
+    if isinstance(value, Mapping):
+        return {_storable(name): _storable(part) for name, part in value.items()}  # type: ignore[return-value]
+    if isinstance(value, list | tuple):
+        return type(value)(_storable(part) for part in value)
+    return value
+
+
+def _check_once(names: Sequence[object], source: str, what: str) -> None:
+    double = next((name for name, times in Counter(names).items() if times > 1), None)
+    if double is not None:
+        raise StoreError(f"two {what} {double}", source=source, remedy="give each its own")
+
+
+def _stop_of(
+    round_key: str, captures: Sequence[CaptureRecord], values: dict[str, Any]
+) -> StopRecord:
+    values["pose"], values["failures"] = tuple(values["pose"]), tuple(values["failures"])
+    return StopRecord(round_key=round_key, captures=tuple(captures), **values)
+
+
+def _captures_of(
+    connection: Connection, which: Any, fruit: Mapping[int, list[FruitRow]] | None = None
+) -> dict[int, list[CaptureRecord]]:
+    """Return the captures of stops by the stops' numbers, with fruit where they are given."""
+    columns = [CAPTURES.c[name] for name in (*_CAPTURE_CELLS, "record")]
+    query = (
+        select(CAPTURES.c.stop_id, CAPTURES.c.id, *columns)
+        .join(STOPS, STOPS.c.id == CAPTURES.c.stop_id)
+        .where(which)
+        .order_by(CAPTURES.c.stop_id, CAPTURES.c.number)
+    )
+    captures: dict[int, list[CaptureRecord]] = defaultdict(list)
+    for stop_id, capture_id, *cells, record in connection.execute(query):
+        values = dict(zip(_CAPTURE_CELLS, cells, strict=True)) | record
+        lists = {name: values[name] and tuple(values[name]) for name in ("gravity", "doubts")}
+        rows = tuple((fruit or {}).get(capture_id, ()))
+        captures[stop_id].append(CaptureRecord(**{**values, **lists, "fruit": rows}))
+    return captures
+
+
+def _shape_of(mask: str | None, record: Mapping[str, Any]) -> dict[str, Any]:
+    points = {name: tuple(map(tuple, record[name])) for name in ("keypoints", "path_m")}
+    return {"mask": mask, **points, "diameter_m": tuple(record["diameter_m"])}
+
+
+def _fruit_of(connection: Connection, which: Any) -> dict[int, list[FruitRow]]:
+    """Return the fruit of stops as they were saved, with their shapes, by the captures' numbers."""
+    query = (
+        select(FRUIT.c.capture_id, SHAPES.c.mask, SHAPES.c.record, *_ROW_CELLS)
+        .join(CAPTURES, CAPTURES.c.id == FRUIT.c.capture_id)
+        .join(STOPS, STOPS.c.id == CAPTURES.c.stop_id)
+        .join(SHAPES, SHAPES.c.fruit_id == FRUIT.c.id)
+        .where(which, IS_ACTIVE)
+        .order_by(FRUIT.c.id)
+    )
+    fruit: dict[int, list[FruitRow]] = defaultdict(list)
+    names = [column.name for column in _ROW_CELLS]
+    for capture_id, mask, record, *cells in connection.execute(query):
+        values = dict(zip(names, cells, strict=True)) | _shape_of(mask, record)
+        fruit[capture_id].append(FruitRow(**values))
+    return fruit
+
+
+def _views_of(
+    connection: Connection,
+    round_key: str,
+    round_id: int,
+    key: str | None = None,
+    *,
+    shapes: bool = False,
+) -> list[FruitRow]:
+    """Return a round's fruit in the order of its stops, with marks and groups; or one of them."""
+    place = ("position_m", "position_sd_m", "fitted_m", "fitted_sd_m", "mirrored")
+    query = (
+        select(
+            FRUIT.c.key,
+            *_ROW_CELLS,
+            STOPS.c.key.label("stop_key"),
+            CAPTURES.c.name.label("capture"),
+            *(CAPTURES.c[name] for name in ("simulated", "thumbnail")),
+            *(STOPS.c[name] for name in ("row", "side", "step", "taken_s", *place)),
+            *((SHAPES.c.mask, SHAPES.c.record) if shapes else ()),
+        )
+        .join(CAPTURES, CAPTURES.c.id == FRUIT.c.capture_id)
+        .join(STOPS, STOPS.c.id == CAPTURES.c.stop_id)
+        .where(FRUIT.c.round_id == round_id, ~FRUIT.c.deleted, ~STOPS.c.deleted)
+        .order_by(STOPS.c.taken_s, STOPS.c.id, CAPTURES.c.number, FRUIT.c.fruit)
+    )
+    if shapes:
+        query = query.join(SHAPES, SHAPES.c.fruit_id == FRUIT.c.id)
+    if key is not None:
+        query = query.where(FRUIT.c.key == key)
+    marks, views = marks_of(connection, round_id), []
+    for line in connection.execute(query).mappings():
+        values, decided = dict(line), marks.get(line["key"], {})
+        at_m, sd_m, fitted_m, fitted_sd_m, mirrored = (values.pop(name) for name in place)
+        if shapes:
+            values |= _shape_of(values.pop("mask"), values.pop("record"))
+        if "row" in decided:
+            corrected = dict(decided["row"])
+            shape = _shape_of(corrected.pop("mask"), corrected)
+            values |= {name: corrected.get(name) for name in line if name in corrected}
+            values |= shape if shapes else {}
+        if fitted_m is not None:
+            at_m, sd_m = fitted_m, fitted_sd_m
+        if at_m is not None:
+            values["along_m"] = at_m + (values["offset_m"] or 0.0) * (-1.0 if mirrored else 1.0)
+            if sd_m is not None:
+                values["along_sd_m"] = hypot(sd_m, values["offset_sd_m"] or 0.0)
+        values |= {"verdict": decided.get("verdict"), "picked_s": decided.get("picked_s")}
+        values |= {"round_key": round_key, "corrected": "row" in decided, "group": line["key"]}
+        views.append(FruitRow(**values))
+    return views if key is not None else _grouped(views, links_of(connection, round_id))
+
+
+def _grouped(views: list[FruitRow], links: list[LinkRecord]) -> list[FruitRow]:
+    """Return views with the group of each; a fruit is picked when the first of its views was."""
+    candidates = {
+        view.key: Candidate(
+            view.verdict is not Verdict.REJECTED,
+            view.length_m is not None,
+            not view.partial,
+            view.view_score,
+        )
+        for view in views
+    }
+    picked = {view.key: view.picked_s for view in views if view.picked_s is not None}
+    groups = representative_views(candidates, picked, links)
+    for view in views:
+        group = groups[view.key]
+        view.group, view.views, view.picked_s = group.best, group.views, group.picked_s
+    return views
+
+
+def _log_of(connection: Connection, round_key: str | None, limit: int | None) -> list[LogEntry]:
+    undo = MARKS.alias()
+    query: Any = (
+        select(
+            *(MARKS.c[name] for name in ("id", "at_s", "by", "kind")),
+            ROUNDS.c.key,
+            MARKS.c.fruit,
+            MARKS.c.details,
+            undo.c.id,
+        )
+        .outerjoin(ROUNDS, ROUNDS.c.id == MARKS.c.round_id)
+        .outerjoin(undo, undo.c.undoes_id == MARKS.c.id)
+        .order_by(MARKS.c.id.desc())
+        .limit(limit)
+    )
+    if round_key is not None:
+        query = query.where(ROUNDS.c.key == checked_key(round_key, "round"))
+    return [
+        LogEntry(
+            number=line.id,
+            at_s=line.at_s,
+            by=line.by,
+            kind=line.kind,
+            round_key=line.key,
+            fruit=tuple(line.fruit),
+            details=line.details,
+            undone=line[7] is not None,
+        )
+        for line in connection.execute(query)
+    ]

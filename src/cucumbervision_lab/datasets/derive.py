@@ -23,7 +23,7 @@ from cucumbervision.instances.instance import Instance
 from cucumbervision.instances.mask_codes import Rle
 from cucumbervision.instances.masks import box_of_mask
 from cucumbervision_greenhouse.store.images import DEPTH_UNIT_M
-from cucumbervision_greenhouse.store.views import Verdict
+from cucumbervision_greenhouse.store.records import Verdict
 from cucumbervision_lab.datasets.coco import write_coco
 from cucumbervision_lab.datasets.labels import (
     SPLITS,
@@ -41,12 +41,11 @@ if TYPE_CHECKING:
     from cucumbervision.perception.networks import NetworkSegmenter
     from cucumbervision_greenhouse.store.records import (
         CaptureRecord,
-        DetectionRecord,
-        ImageRef,
+        FruitRow,
+        Round,
         StopRecord,
     )
     from cucumbervision_greenhouse.store.repository import Store
-    from cucumbervision_greenhouse.store.views import DetectionSummary, RoundSummary
 
 
 def merge_datasets(
@@ -395,21 +394,20 @@ def _position_name(house: str, stop: StopRecord) -> str:
 
 
 def _reviewed_captures(
-    store: Store, round_summary: RoundSummary, licence: str
+    store: Store, round_summary: Round, licence: str
 ) -> Iterator[tuple[LabelledPicture | None, Counter[str]]]:
     """Yield the reviewed captures of a round with their counts; None if the picture is missing."""
-    corrected = store.corrected(round_summary.key)
     added = {
         key for a in store.log(round_summary.key, limit=None) if a.kind == "add" for key in a.fruit
     }
-    of_stops: dict[str, dict[str, list[DetectionSummary]]] = {}
-    for view in store.detections(round_summary.key):
+    of_stops: dict[str, dict[str, list[FruitRow]]] = {}
+    for view in store.detections(round_summary.key, shapes=True):
         of_stops.setdefault(view.stop_key, {}).setdefault(view.capture, []).append(view)
     for stop_key, of_captures in of_stops.items():
         if not any(_is_reviewed(view) for views in of_captures.values() for view in views):
             continue
         stop = store.stop(stop_key)
-        place = _position_name(round_summary.record.house, stop)
+        place = _position_name(round_summary.house, stop)
         for capture in stop.captures:
             views = of_captures.get(capture.name, [])
             if not any(map(_is_reviewed, views)):
@@ -418,11 +416,8 @@ def _reviewed_captures(
             if capture.color is None:
                 yield None, outcomes
                 continue
-            first = {fruit.number: fruit for fruit in capture.fruit}
             labels = tuple(
-                _label(corrected.get(view.key, first[view.record.number]), capture, view)
-                for view in views
-                if view.verdict is not Verdict.REJECTED
+                _label(view, capture) for view in views if view.verdict is not Verdict.REJECTED
             )
             picture = LabelledPicture(
                 _file(store, capture.color),
@@ -431,7 +426,7 @@ def _reviewed_captures(
                 labels,
                 scene=place,
                 split=split_of_position(place),
-                source="synth" if capture.simulated else round_summary.record.house or "own house",
+                source="synth" if capture.simulated else round_summary.house or "own house",
                 licence=licence,
                 depth_file=None if capture.depth is None else _file(store, capture.depth),
                 depth_unit_m=capture.depth_unit_m or DEPTH_UNIT_M,
@@ -441,15 +436,15 @@ def _reviewed_captures(
             yield picture, outcomes
 
 
-def _file(store: Store, ref: ImageRef) -> str:
-    return store.images.path(ref).relative_to(store.images.folder).as_posix()
+def _file(store: Store, name: str) -> str:
+    return store.images.path(name).relative_to(store.images.folder).as_posix()
 
 
-def _is_reviewed(view: DetectionSummary) -> bool:
+def _is_reviewed(view: FruitRow) -> bool:
     return view.verdict is not None or view.corrected
 
 
-def _review_outcome(view: DetectionSummary, added: Container[str]) -> str:
+def _review_outcome(view: FruitRow, added: Container[str]) -> str:
     if view.verdict is Verdict.REJECTED:
         return "rejected"
     if view.key in added:
@@ -459,16 +454,16 @@ def _review_outcome(view: DetectionSummary, added: Container[str]) -> str:
     return "accepted" if view.verdict is Verdict.ACCEPTED else "unjudged"
 
 
-def _label(record: DetectionRecord, capture: CaptureRecord, view: DetectionSummary) -> Label:
-    box = np.array([record.box_x1_px, record.box_y1_px, record.box_x2_px, record.box_y2_px])
+def _label(view: FruitRow, capture: CaptureRecord) -> Label:
+    box = np.array([view.box_x1_px, view.box_y1_px, view.box_x2_px, view.box_y2_px])
     code = None
-    if record.mask is not None:
-        code = Rle(capture.height_px, capture.width_px, record.mask)
+    if view.mask is not None:
+        code = Rle(capture.height_px, capture.width_px, view.mask)
         box = box_of_mask(code.decode())
     # A person has reviewed the mask, so it is not a pseudo-label.
     return Label(
         box,
         mask_code=code,
-        cut_off="cut-by-frame" in record.flags.split(),
+        cut_off="cut-by-frame" in view.flags.split(),
         ignore=not _is_reviewed(view),
     )

@@ -3,7 +3,6 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Iterator
-from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -20,9 +19,8 @@ from cucumbervision_greenhouse.access import DEVICE, AccessGuard
 from cucumbervision_greenhouse.camera import cameras
 from cucumbervision_greenhouse.rounds.demonstration import DEMONSTRATION
 from cucumbervision_greenhouse.store.images import ImageStore
-from cucumbervision_greenhouse.store.records import StopRecord, key_of
+from cucumbervision_greenhouse.store.records import StopRecord, Verdict, key_of
 from cucumbervision_greenhouse.store.repository import Store
-from cucumbervision_greenhouse.store.views import Verdict
 
 WALK = key_of("walk")
 
@@ -194,7 +192,7 @@ def test_undo_after_a_fruit_was_added_leaves_its_stop(asked: TestClient, store: 
     stop = store.stops(WALK)[-1]
     capture = store.stop(stop.key).captures[0]
     one = capture.fruit[0]
-    store.signed("dashboard").add_fruit(stop.key, capture.name, replace(one, mask=None))
+    store.signed("dashboard").add_fruit(stop.key, capture.name, one.with_(mask=None))
     before = len(store.detections(WALK))
     asked.post("/api/undo", json={"stop": stop.key})
     assert store.stop_is_deleted(stop.key) is False
@@ -204,8 +202,8 @@ def test_undo_after_a_fruit_was_added_leaves_its_stop(asked: TestClient, store: 
 def test_a_round_is_begun(asked: TestClient, store: Store) -> None:
     begun = asked.post("/api/rounds", json={"name": " Evening ", "house": "2"}).json()["round"]
     one = next(one for one in store.rounds() if one.key == begun)
-    assert (one.record.name, one.record.house) == ("Evening", "2")
-    assert one.record.profile == "long-cucumber"
+    assert (one.name, one.house) == ("Evening", "2")
+    assert one.profile == "long-cucumber"
     walk = asked.get("/api/walk", params={"round": begun, "source": "camera"}).json()
     assert (walk["round"], walk["last"], walk["place"]["row"]) == (begun, None, "1")
 
@@ -229,7 +227,7 @@ def test_a_missed_fruit_is_no_second_one_and_none_where_none_is(
     asked: TestClient, store: Store
 ) -> None:
     view = store.detections(WALK)[0]
-    box = view.record
+    box = view
     middle = [(box.box_x1_px + box.box_x2_px) / 2, (box.box_y1_px + box.box_y2_px) / 2]
     fruit = {"stop": view.stop_key, "capture": view.capture}
     there = asked.post("/api/fruit", json={**fruit, "point": middle})
@@ -244,7 +242,7 @@ def test_a_missed_fruit_is_no_second_one_and_none_where_none_is(
 
 def test_a_fruit_is_outlined_before_it_is_measured(asked: TestClient, store: Store) -> None:
     view = store.detections(WALK)[0]
-    box = view.record
+    box = view
     edges = [box.box_x1_px, box.box_y1_px, box.box_x2_px, box.box_y2_px]
     sent = {"stop": view.stop_key, "capture": view.capture, "box": edges}
     (line,) = asked.post("/api/outline", json=sent).json()["outline"]
@@ -272,7 +270,7 @@ def test_a_picture_is_prepared_before_it_is_tapped_and_a_tap_is_drawn_once(
     view = store.detections(WALK)[0]
     picture = {"stop": view.stop_key, "capture": view.capture}
     assert asked.post("/api/prepare", json=picture).json() == {}
-    box = view.record
+    box = view
     edges = [box.box_x1_px, box.box_y1_px, box.box_x2_px, box.box_y2_px]
     assert asked.post("/api/outline", json={**picture, "box": edges}).status_code == 200
     assert runs.count("_encoder") == 1
@@ -317,7 +315,7 @@ def test_a_fruit_is_outlined_anew_and_its_picture_read_once(
 
     monkeypatch.setattr(ImageStore, "read_depth", reading)
     view = store.detections(WALK)[0]
-    box = view.record
+    box = view
     sent = {
         "stop": view.stop_key,
         "capture": view.capture,

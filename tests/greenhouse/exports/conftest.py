@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,14 +14,13 @@ from cucumbervision_greenhouse.exports.build import RoundTables, round_tables
 from cucumbervision_greenhouse.store.records import (
     ArtifactRecord,
     CaptureRecord,
-    DetectionRecord,
-    MethodRecord,
+    FruitRow,
     Round,
     StopRecord,
+    Verdict,
     key_of,
 )
 from cucumbervision_greenhouse.store.repository import Store, open_store
-from cucumbervision_greenhouse.store.views import Verdict
 
 EVIL = '=HYPERLINK("https://x")<script>alert(1)</script>'
 
@@ -36,8 +34,8 @@ CONFIG, MODEL, SITE = "c" * 64, "a" * 64, "b" * 64
 THREAD = LengthDefinition.THREAD
 
 
-def fruit(number: int, length_m: float | None) -> DetectionRecord:
-    record = DetectionRecord(
+def fruit(number: int, length_m: float | None) -> FruitRow:
+    record = FruitRow(
         number,
         score=0.9,
         method="M6",
@@ -48,12 +46,12 @@ def fruit(number: int, length_m: float | None) -> DetectionRecord:
         centre_z_m=0.5,
         offset_m=0.1 * number,
         offset_sd_m=0.01,
-        methods=(MethodRecord("M1", 0.2), MethodRecord("M6", length_m)),
+        m1_m=0.2,
+        m6_m=length_m,
     )
     if length_m is None:
-        return replace(record, method=None, reason="no-tube", flags="")
-    return replace(
-        record,
+        return record.with_(method=None, reason="no-tube", flags="")
+    return record.with_(
         length=Length(length_m, THREAD, 0.97 * length_m, 1.03 * length_m, THREAD),
         thread_m=length_m,
         chord_m=0.9 * length_m,

@@ -14,7 +14,7 @@ from cucumbervision.errors import CucumberVisionError
 from cucumbervision.pipeline.fields import FIELDS
 from cucumbervision_greenhouse.exports.build import RoundTables, round_tables
 from cucumbervision_greenhouse.store.records import (
-    DetectionRecord,
+    FruitRow,
     key_of,
 )
 from cucumbervision_greenhouse.store.repository import Store
@@ -93,7 +93,7 @@ def test_every_field_that_the_store_keeps_of_a_fruit_is_exported(tables: RoundTa
     kept = {"inner_arc_mm", "diameter_mean_mm", "box_x1_px", "mask_source", "raw_length_cm", "fill"}
     columns = {column.name: column for column in tables["fruit"].columns}
     for one in FIELDS:
-        if hasattr(DetectionRecord, one.si_name) or one.name in kept:
+        if hasattr(FruitRow, one.si_name) or one.name in kept:
             assert (columns[one.name].unit, columns[one.name].says) == (one.unit, one.says)
     first = tables["fruit"].rows[0]
     assert (first["inner_arc_mm"], first["diameter_max_mm"], first["score"]) == (4.0, 45.0, 0.9)

@@ -16,8 +16,7 @@ from cucumbervision_greenhouse.exports.build import round_tables
 from cucumbervision_greenhouse.exports.fruit_pictures import draw_fruit
 from cucumbervision_greenhouse.store.records import (
     CaptureRecord,
-    DetectionRecord,
-    MethodRecord,
+    FruitRow,
     Round,
     StopRecord,
     new_key,
@@ -28,13 +27,13 @@ CAMERA = Intrinsics(640, 480, 600.0, 600.0, 319.5, 239.5, Stream.COLOR)
 ORANGE, GREY = (230, 159, 0), 60
 
 
-def hanging() -> tuple[DetectionRecord, CaptureRecord]:
+def hanging() -> tuple[FruitRow, CaptureRecord]:
     """A fruit 40 by 200 pixels, 0.6 m away: a pixel is a millimetre."""
     mask = np.zeros((480, 640), bool)
     mask[100:300, 300:340] = True
     # Its axis: straight down the middle, from y = 100 to y = 299.
     path = tuple((0.0, (v - 239.5) * 0.001, 0.6) for v in (100.0, 199.5, 299.0))
-    record = DetectionRecord(
+    record = FruitRow(
         1,
         box_x1_px=299.5,
         box_y1_px=99.5,
@@ -44,7 +43,7 @@ def hanging() -> tuple[DetectionRecord, CaptureRecord]:
         length=Length(0.2),
         distance_m=0.6,
         mask=encode_rle(mask),
-        methods=(MethodRecord("M1", 0.3), MethodRecord("M6", 0.2, path_m=path)),
+        path_m=path,
     )
     camera = CameraModel.of(CAMERA).model_dump(mode="json")
     return record, CaptureRecord("a", width_px=640, height_px=480, camera=camera)
@@ -93,7 +92,7 @@ def test_every_fruit_of_an_export_gets_its_own_picture(tmp_path: Path) -> None:
             position_m=1.0,
             captures=(
                 CaptureRecord(**{**vars(capture), **kept, "fruit": (record,)}),
-                CaptureRecord("b", fruit=(DetectionRecord(1),)),  # nothing of it was kept
+                CaptureRecord("b", fruit=(FruitRow(1),)),  # nothing of it was kept
             ),
         )
         store.save_round(walk)

@@ -237,3 +237,20 @@ def test_every_sheet_of_the_workbook_prints(tables: RoundTables, tmp_path: Path)
         high, wide = page.shape[:2]
         assert sorted((high, wide)) == pytest.approx([80 * 210 / 25.4, 80 * 297 / 25.4], abs=2)
         assert np.any(page < 128, axis=2).mean() > 0.002  # something is written on it
+
+
+def test_an_export_that_fails_leaves_the_last_one_whole(
+    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tables = round_tables(store, WALK.key)
+    paths = write_exports(tables, tmp_path, [ExportFormat.CSV, ExportFormat.JSON])
+    before = {path: path.read_bytes() for path in paths}
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("cucumbervision_greenhouse.exports.writers.write_json", full)
+    with pytest.raises(CucumberVisionError, match="No space left"):
+        write_exports(tables, tmp_path, [ExportFormat.CSV, ExportFormat.JSON])
+    assert {path: path.read_bytes() for path in paths} == before
+    assert not list(tmp_path.glob(".export-*"))

@@ -32,7 +32,7 @@ pytestmark = pytest.mark.usefixtures("fresh_caches")
 def test_a_calibration_is_made_used_and_put_back_on_the_page(house: Path) -> None:
     with open_store(house) as store:
         fruit = store.detections(WALK)
-    lengths = {view.key: (1.1 * (view.record.length_m or 0.0), None) for view in fruit}
+    lengths = {view.key: (1.1 * (view.length_m or 0.0), None) for view in fruit}
     write_hand_lengths(hand_file(str(house), WALK), fruit, lengths, LengthDefinition.CENTRELINE)
     test = app("accuracy", round=WALK)
     assert "too short on average" in said(test)

@@ -62,7 +62,7 @@ def address(
             record = replace(store.stop(stop.key), key=key_of("named", number), round_key=NAMED)
             odd = replace(record, row=NAME, note=NAME, taken_s=named.started_s + number)
             store.save_stop(odd)
-        fruit = next(view for view in store.detections(NAMED) if view.record.length_m)
+        fruit = next(view for view in store.detections(NAMED) if view.length_m)
     server = start_server(folder, "--store", str(path), "--replay", str(example_captures()))
     return server, {"fruit": fruit.key, "stop": fruit.stop_key}
 

@@ -33,10 +33,8 @@ from cucumbervision_greenhouse.camera.state import walk
 from cucumbervision_greenhouse.rounds import merge_and_link
 from cucumbervision_greenhouse.rounds.demonstration import DEMONSTRATION, round_for_capture
 from cucumbervision_greenhouse.rounds.from_store import StoredRow
-from cucumbervision_greenhouse.store.queries import Queries
 from cucumbervision_greenhouse.store.records import Round, StopRecord, key_of, new_key
 from cucumbervision_greenhouse.store.repository import Store, open_store
-from cucumbervision_greenhouse.store.views import RoundSummary
 
 pytestmark = pytest.mark.usefixtures("fresh_caches")
 ROOT = Path(__file__).parents[3]
@@ -177,18 +175,18 @@ def test_a_page_asks_once_whatever_the_number_of_its_fruit(
         make_long(store, store.stop(store.stops(WALK)[0].key), 100)
     test = app(page, round=LONG)  # reads what is kept then
     asked: Counter[str] = Counter()
-    ask, read = CachedFunc.__call__, Queries.rounds
+    ask, read = CachedFunc.__call__, Store.rounds
 
     def counted(cached: Any, *args: Any, **named: Any) -> Any:
         asked["of caches"] += 1
         return ask(cached, *args, **named)
 
-    def rounds(store: Queries, *, deleted: bool = False) -> list[RoundSummary]:
+    def rounds(store: Store, *, deleted: bool = False) -> list[Round]:
         asked[f"for rounds, {deleted=}"] += 1
         return read(store, deleted=deleted)
 
     monkeypatch.setattr(CachedFunc, "__call__", counted)
-    monkeypatch.setattr(Queries, "rounds", rounds)
+    monkeypatch.setattr(Store, "rounds", rounds)
     assert not test.run().exception
     assert 0 < asked.pop("of caches") < 100  # before, 13,000 on a map of 500 fruit
     assert asked == {"for rounds, deleted=False": 1, "for rounds, deleted=True": 1}
@@ -210,7 +208,7 @@ def test_what_pages_share_is_computed_once(house: Path, monkeypatch: pytest.Monk
 
 def test_news_of_a_round_count_no_other(house: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     before = round_caches.news(WALK)["version"]
-    monkeypatch.delattr(Queries, "rounds")  # every open page asks three times a second
+    monkeypatch.delattr(Store, "rounds")  # every open page asks three times a second
     assert round_caches.news(WALK)["version"] == before
     for missing in ("", "no key", new_key()):
         assert round_caches.news(missing)["version"].endswith("-0")

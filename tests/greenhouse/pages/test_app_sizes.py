@@ -93,7 +93,7 @@ def address(
             for number, stop in enumerate(store.stops(WALK)):
                 record = replace(store.stop(stop.key), key=key_of(key, number), round_key=key)
                 store.save_stop(replace(record, taken_s=begun_s + number))
-        fruit = next(view for view in store.detections(TODAY) if view.record.length_m)
+        fruit = next(view for view in store.detections(TODAY) if view.length_m)
     server = start_server(folder, "--store", str(path), "--replay", str(example_captures()))
     return server, {"fruit": fruit.key, "stop": fruit.stop_key}
 

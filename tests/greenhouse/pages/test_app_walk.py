@@ -19,8 +19,8 @@ import pytest
 pytest.importorskip("streamlit")
 
 from cucumbervision.capture.source import example_captures
+from cucumbervision_greenhouse.store.records import StopRecord
 from cucumbervision_greenhouse.store.repository import open_store
-from cucumbervision_greenhouse.store.views import StopSummary
 from cucumbervision_greenhouse.store.waiting import WaitingCaptures
 
 pytestmark = [pytest.mark.timeout(1800), pytest.mark.xdist_group("browser")]
@@ -44,12 +44,12 @@ class House:
     def serve(self) -> Any:
         return self._start(self.folder, "--store", str(self.store), "--replay", str(self.replay))
 
-    def stops(self, name: str) -> list[StopSummary]:
+    def stops(self, name: str) -> list[StopRecord]:
         with open_store(self.store) as store:
-            one = next(x for x in store.rounds() if x.record.name == name)
+            one = next(x for x in store.rounds() if x.name == name)
             return store.stops(one.key)
 
-    def wait_for_stops(self, name: str, number: int) -> list[StopSummary]:
+    def wait_for_stops(self, name: str, number: int) -> list[StopRecord]:
         until = time.monotonic() + 300
         while time.monotonic() < until:
             if len(found := self.stops(name)) >= number:
@@ -171,7 +171,7 @@ def test_a_day_from_the_start_page_to_the_pick_list(
     phone.locator('.fruit button[aria-pressed="true"]').first.wait_for()
     shot(phone, "phone-pick")
     with open_store(house.store) as store:
-        one = next(x for x in store.rounds() if x.record.name == "Monday")
+        one = next(x for x in store.rounds() if x.name == "Monday")
         assert len(store.picked(one.key)) == 1
     # What the program says where it was started: its address, twice.
     printed = (house.folder / "server.log").read_text().splitlines()
@@ -263,7 +263,7 @@ def read_by_hand(house: House) -> list[float]:
 
 def fruit_of(house: House) -> int:
     with open_store(house.store) as store:
-        one = next(x for x in store.rounds() if x.record.name == "Monday")
+        one = next(x for x in store.rounds() if x.name == "Monday")
         return sum(view.best for view in store.detections(one.key))
 
 

@@ -121,8 +121,7 @@ def test_two_days_from_upload_to_export(
     told = metrics(page)
     with open_store(store) as opened:
         first, last = (
-            next(x for x in opened.rounds() if x.record.name == name)
-            for name in ("Monday", "Tuesday")
+            next(x for x in opened.rounds() if x.name == name) for name in ("Monday", "Tuesday")
         )
         sizes = [
             sum(view.best for view in opened.detections(round_summary.key))
@@ -193,4 +192,4 @@ def test_the_form_of_a_round_closes_however_fast_it_is_sent(
         page.get_by_role("dialog").wait_for(state="hidden", timeout=60_000)
         page.locator("[data-test-script-state=notRunning]").wait_for()
         with open_store(store) as opened:
-            assert sum(not x.record.name for x in opened.rounds()) == count
+            assert sum(not x.name for x in opened.rounds()) == count

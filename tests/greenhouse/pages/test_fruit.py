@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -15,7 +16,6 @@ from tests.greenhouse.pages.app_pages import (
 
 from cucumbervision.capture.frames import Stop
 from cucumbervision_greenhouse.rounds.merge_and_link import move_stop
-from cucumbervision_greenhouse.store.corrections import StopPlace
 from cucumbervision_greenhouse.store.repository import Store, open_store
 
 pytestmark = pytest.mark.usefixtures("fresh_caches")
@@ -32,7 +32,7 @@ def test_undo_on_a_fruit_s_page_takes_a_deleted_stop_back_and_merges(house: Path
             put_back = store.stops(WALK)[0]
             assert put_back.key == stop.key
             assert put_back.fitted_m is not None
-            store.place_stop(stop.key, StopPlace(stop.row, stop.side, 9.0, 1))
+            store.place_stop(replace(stop, position_m=9.0, step=1))
 
 
 def test_fruit_turn_with_the_side_of_their_stop(store: Store) -> None:

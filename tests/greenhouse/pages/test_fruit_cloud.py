@@ -11,13 +11,13 @@ from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.instances.mask_codes import encode_rle
 from cucumbervision_greenhouse.pages.fruit_cloud import point_cloud
-from cucumbervision_greenhouse.store.records import DetectionRecord
+from cucumbervision_greenhouse.store.records import FruitRow
 
 CAMERA = Intrinsics(80, 60, 100.0, 100.0, 39.5, 29.5)
 
 
 @pytest.fixture
-def plane() -> tuple[Capture, DetectionRecord]:
+def plane() -> tuple[Capture, FruitRow]:
     """A fruit of 10 by 20 pixels, half a metre away, before a wall a metre away."""
     color = np.full((60, 80, 3), (10, 120, 30), np.uint8)
     depth_m = np.full((60, 80), 1.0, np.float32)
@@ -25,12 +25,12 @@ def plane() -> tuple[Capture, DetectionRecord]:
     mask[20:40, 30:40] = True
     depth_m[mask] = 0.5
     depth_m[25, 35] = 0.0  # no reading
-    record = DetectionRecord(1, mask=encode_rle(mask), stem_x_m=0.0, stem_y_m=-0.05, stem_z_m=0.5)
+    record = FruitRow(1, mask=encode_rle(mask), stem_x_m=0.0, stem_y_m=-0.05, stem_z_m=0.5)
     return Capture(color, depth_m, CAMERA, name="a"), record
 
 
 def test_one_reading_far_behind_does_not_make_the_fruit_small(
-    plane: tuple[Capture, DetectionRecord],
+    plane: tuple[Capture, FruitRow],
 ) -> None:
     capture, record = plane
     near = point_cloud(capture, record)
@@ -45,7 +45,7 @@ def test_one_reading_far_behind_does_not_make_the_fruit_small(
     assert [mark["color"] for mark in marks] == [(240, 228, 66)]  # the stem end alone is known
 
 
-def test_without_mask_or_depth_there_is_nothing(plane: tuple[Capture, DetectionRecord]) -> None:
+def test_without_mask_or_depth_there_is_nothing(plane: tuple[Capture, FruitRow]) -> None:
     capture, record = plane
-    assert point_cloud(capture, replace(record, mask=None)) is None
+    assert point_cloud(capture, record.with_(mask=None)) is None
     assert point_cloud(replace(capture, depth_m=np.zeros_like(capture.depth_m)), record) is None

@@ -17,9 +17,8 @@ pytest.importorskip("streamlit")
 from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.instances.mask_codes import decode_rle
 from cucumbervision.instances.masks import mask_iou
-from cucumbervision_greenhouse.store.records import key_of
+from cucumbervision_greenhouse.store.records import DetectionDetail, Verdict, key_of
 from cucumbervision_greenhouse.store.repository import open_store
-from cucumbervision_greenhouse.store.views import DetectionDetail, Verdict
 
 WALK, TOKEN = key_of("walk"), "a-token-of-this-test-only"
 PATIENCE_S = 300.0  # on a machine that does much else; some seconds on an idle one
@@ -29,15 +28,13 @@ pytestmark = [pytest.mark.timeout(1800), pytest.mark.xdist_group("browser")]
 
 def axis_px(detail: DetectionDetail) -> Any:
     """The measured axis in the capture's pixels."""
-    record = detail.view.record
-    path = next(one.path_m for one in record.methods if one.method == record.method)
+    record = detail.view
+    path = record.path_m
     return CameraModel.model_validate(detail.capture.camera).intrinsics.project(np.array(path))
 
 
 def mask_of(detail: DetectionDetail) -> Any:
-    return decode_rle(
-        detail.view.record.mask or "", detail.capture.height_px, detail.capture.width_px
-    )
+    return decode_rle(detail.view.mask or "", detail.capture.height_px, detail.capture.width_px)
 
 
 def wait_for_action(path: Path, kind: str) -> None:
@@ -90,7 +87,7 @@ def test_a_fruit_is_outlined_by_a_tap_one_is_added_and_one_deleted(
     def opened() -> DetectionDetail:
         with open_store(path) as store:
             views = store.detections(WALK)
-            one = next(x for x in views if (str(x.record.number), x.capture) == (number, capture))
+            one = next(x for x in views if (str(x.fruit), x.capture) == (number, capture))
             return store.detection(one.key)
 
     axis = axis_px(opened())
@@ -99,7 +96,7 @@ def test_a_fruit_is_outlined_by_a_tap_one_is_added_and_one_deleted(
     page.get_by_role("button", name="Redraw by tap").click()
     page.mouse.click(*on_screen(page, axis[len(axis) // 2]))
     until = time.monotonic() + PATIENCE_S
-    while opened().view.record.mask_source != "sam":
+    while opened().view.mask_source != "sam":
         assert time.monotonic() < until
         time.sleep(0.2)
     assert opened().view.corrected

@@ -18,9 +18,8 @@ from cucumbervision_greenhouse.pages.hand_lengths import (
     truth_of,
     write_hand_lengths,
 )
-from cucumbervision_greenhouse.store.records import key_of
+from cucumbervision_greenhouse.store.records import Verdict, key_of
 from cucumbervision_greenhouse.store.repository import Store
-from cucumbervision_greenhouse.store.views import Verdict
 
 WALK = key_of("walk")
 
@@ -30,7 +29,7 @@ def test_lengths_by_hand_are_kept_scored_and_calibrate(store: Store, house: Path
     true = {}
     for view in fruit:
         said = json.loads((example_captures() / view.capture / "truth.json").read_text())
-        thread_m = said[view.record.number - 1]["thread_m"]
+        thread_m = said[view.fruit - 1]["thread_m"]
         true[view.key] = (thread_m - 0.0005, thread_m + 0.0005)
     path = hand_file(str(house), WALK)
     assert write_hand_lengths(path, fruit, true, LengthDefinition.THREAD) == 8
@@ -38,7 +37,7 @@ def test_lengths_by_hand_are_kept_scored_and_calibrate(store: Store, house: Path
     for key, (first, _) in true.items():
         assert read[key][0] == pytest.approx(first, abs=6e-5)
 
-    measured = measured_round(store, WALK, store.measurements(WALK))
+    measured = measured_round(store, WALK)
     found = evaluate_lengths(measured, read_truth(path))
     scores = {score.method: score for score in found.scores}
     assert scores["M6 thread"].fruit == 8
@@ -61,10 +60,10 @@ def test_a_fruit_without_a_length_by_hand_is_left_out(store: Store, tmp_path: Pa
 
 def test_a_length_of_a_fruit_that_somebody_deletes_is_kept(store: Store, tmp_path: Path) -> None:
     fruit, path = store.detections(WALK), tmp_path / "a.csv"
-    lengths = {view.key: (view.record.length_m, None) for view in fruit}
+    lengths = {view.key: (view.length_m, None) for view in fruit}
     write_hand_lengths(path, fruit, lengths, LengthDefinition.CENTRELINE)
     store.set_verdict([fruit[0].key], Verdict.REJECTED)
-    measured = measured_round(store, WALK, store.measurements(WALK))
+    measured = measured_round(store, WALK)
     assert len(evaluate_lengths(measured, truth_of(path, measured)).pairs) == 7
     left = [view for view in store.detections(WALK) if view.verdict is not Verdict.REJECTED]
     write_hand_lengths(path, left, hand_lengths(path, left), LengthDefinition.CENTRELINE)

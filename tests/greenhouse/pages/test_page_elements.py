@@ -13,8 +13,8 @@ from tests.greenhouse.pages.app_pages import (
     tap,
 )
 
+from cucumbervision_greenhouse.store.records import Verdict
 from cucumbervision_greenhouse.store.repository import open_store
-from cucumbervision_greenhouse.store.views import Verdict
 
 pytestmark = pytest.mark.usefixtures("fresh_caches")
 

@@ -11,8 +11,8 @@ pytest.importorskip("streamlit")
 
 from tests.greenhouse.pages.app_pages import WALK, app, classes, keys, listed, said, tap
 
+from cucumbervision_greenhouse.store.records import Verdict
 from cucumbervision_greenhouse.store.repository import open_store
-from cucumbervision_greenhouse.store.views import Verdict
 
 pytestmark = pytest.mark.usefixtures("fresh_caches")
 
@@ -72,7 +72,7 @@ def test_fruit_with_something_to_look_at_are_listed_alone(house: Path) -> None:
 def test_the_next_unsure_fruit_is_the_least_certain_that_nobody_checked(house: Path) -> None:
     with open_store(house) as store:
         views = [view for view in store.detections(WALK) if view.views == 1]
-    by_score = [view.key for view in sorted(views, key=lambda view: (view.record.score, view.key))]
+    by_score = [view.key for view in sorted(views, key=lambda view: (view.score, view.key))]
     test = app("results", fruit=by_score[1])
     tap(test, "Next unsure")
     assert test.query_params["fruit"] == by_score[2]

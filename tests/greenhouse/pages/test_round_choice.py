@@ -43,7 +43,7 @@ def test_an_address_of_no_round_shows_no_other_one(page: str, house: Path) -> No
 def test_a_round_is_renamed_deleted_and_brought_back(house: Path) -> None:
     def rounds() -> list[str]:
         with open_store(house) as store:
-            return [one.record.name for one in store.rounds()]
+            return [one.name for one in store.rounds()]
 
     test = app("results", round=WALK)
     test.text_input(key=f"name_{WALK}").set_value("Evening").run()
@@ -84,7 +84,7 @@ def test_a_name_that_another_viewer_has_changed_meanwhile_is_not_overwritten(hou
     tap(second, "Rename the house (1 round)")
     assert "changed it meanwhile" in said(second)
     with open_store(house) as store:
-        [record] = [summary.record for summary in store.rounds()]
+        [record] = list(store.rounds())
     assert (record.name, record.house) == ("Noon", "North")
 
 
@@ -114,8 +114,8 @@ def test_when_a_round_is_deleted_its_neighbours_are_linked(
         [walk] = store.rounds()
         keys = [WALK]
         for day in (1, 2):
-            began_s = walk.record.started_s + day * 86400.0
-            record = replace(walk.record, key=key_of("day", day), started_s=began_s)
+            began_s = walk.started_s + day * 86400.0
+            record = replace(walk, key=key_of("day", day), started_s=began_s)
             store.save_round(replace(record, name="![x](http://a)"))
             for view in store.stops(WALK):
                 stop = replace(store.stop(view.key), key=new_key(), round_key=record.key)
@@ -137,8 +137,8 @@ def test_a_round_is_begun(house: Path) -> None:
     next(b for b in test.button if b.label == "Start this round").click().run()
     with open_store(house) as store:
         newest = store.rounds()[0]
-        assert newest.record.name == "Evening"
-        assert newest.record.profile == "long-cucumber"
+        assert newest.name == "Evening"
+        assert newest.profile == "long-cucumber"
     assert test.session_state["round"] == newest.key
 
 
@@ -156,7 +156,7 @@ def test_a_house_is_chosen_of_the_known_ones_and_one_by_another_name_is_told(hou
     next(b for b in test.button if b.label == "Start this round").click().run()
     assert "'house 1', which is known" in test.toast[0].value
     with open_store(house) as store:
-        assert [one.record.house for one in store.rounds()] == [
+        assert [one.house for one in store.rounds()] == [
             "house 1",
             "North",
             "house 1",
@@ -194,7 +194,7 @@ def test_a_house_is_renamed_and_merged_on_the_page(house: Path) -> None:
 
     def houses() -> list[str]:
         with open_store(house) as store:
-            return sorted(x.record.house for x in store.rounds())
+            return sorted(x.house for x in store.rounds())
 
     test = app("today", round=WALK, changing_round_0=True)
     test.text_input(key=f"house_{WALK}").input("South").run()

@@ -34,4 +34,4 @@ def test_a_typed_house_is_the_house_of_the_round(
     form.wait_for(state="hidden")
     page.get_by_text("House 7").first.wait_for()
     with open_store(path) as store:
-        assert sorted(x.record.house for x in store.rounds()) == ["House 7", "house 1"]
+        assert sorted(x.house for x in store.rounds()) == ["House 7", "house 1"]

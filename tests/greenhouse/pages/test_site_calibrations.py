@@ -41,7 +41,7 @@ def by_hand(store: Store, path: Path, factor: float) -> Path:
     lengths = {}
     for view in fruit:
         true = json.loads((example_captures() / view.capture / "truth.json").read_text())
-        length_m = factor * true[view.record.number - 1]["centreline_m"]
+        length_m = factor * true[view.fruit - 1]["centreline_m"]
         lengths[view.key] = (length_m, None)
     write_hand_lengths(path, fruit, lengths, CENTRELINE)
     return path
@@ -50,7 +50,7 @@ def by_hand(store: Store, path: Path, factor: float) -> Path:
 def test_own_fruit_say_how_far_off_lengths_are_and_what_is_corrected(
     store: Store, tmp_path: Path
 ) -> None:
-    measured = measured_round(store, WALK, store.measurements(WALK))
+    measured = measured_round(store, WALK)
     true = read_truth(by_hand(store, tmp_path / "true.csv", 1.0))
     long = read_truth(by_hand(store, tmp_path / "long.csv", 1.1))
     words = bias_words(evaluate_lengths(measured, long), CM)

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +11,8 @@ pytest.importorskip("streamlit")
 
 from tests.greenhouse.pages.app_pages import WALK, app, field, said, tap, wait_for_jobs
 
-from cucumbervision_greenhouse.store.corrections import StopPlace
+from cucumbervision_greenhouse.store.records import Verdict
 from cucumbervision_greenhouse.store.repository import open_store
-from cucumbervision_greenhouse.store.views import Verdict
 
 pytestmark = pytest.mark.usefixtures("fresh_caches")
 
@@ -60,7 +60,7 @@ def test_what_was_typed_just_before_the_tap_is_saved(house: Path) -> None:
     tap(test, "Rename")
     with open_store(house) as store:
         now = store.stops(WALK)[0]
-        assert store.rounds()[0].record.name == "Evening"
+        assert store.rounds()[0].name == "Evening"
     assert (now.row, now.note, now.position_m) == ("12", "long leaf", first.position_m)
 
 
@@ -100,7 +100,9 @@ def test_after_undo_the_fields_say_what_the_stop_says(house: Path) -> None:
         field(test, "text_input", "Name").set_value("long leaf")
         tap(test, "Save")
         # Somebody else changes it too: undone after that, and not forgotten.
-        later = store.place_stop(first.key, StopPlace("1", "left", -0.5, -1, "short leaf"))
+        later = store.place_stop(
+            replace(first, row="1", side="left", position_m=-0.5, step=-1, note="short leaf")
+        )
         test.run()
         assert not test.exception
         assert field(test, "number_input", "At [m]").value == -0.5
@@ -117,9 +119,10 @@ def test_after_undo_the_fields_say_what_the_stop_says(house: Path) -> None:
 
 def test_a_third_side_of_a_row_is_put_right_where_it_is_seen(house: Path) -> None:
     with open_store(house) as store:
-        keys = [one.key for one in store.stops(WALK)]
-        for at, (key, side) in enumerate(zip(keys, ("A", "B", "left"), strict=True)):
-            store.place_stop(key, StopPlace("1", side, float(at), at))
+        stops = store.stops(WALK)
+        keys = [stop.key for stop in stops]
+        for at, (stop, side) in enumerate(zip(stops, ("A", "B", "left"), strict=True)):
+            store.place_stop(replace(stop, row="1", side=side, position_m=float(at), step=at))
     test = app("row_map", round=WALK, stops=True, **{f"stop_of_{WALK}": keys[2]})
     assert "row '1' has 3 sides: A, B, left" in test.exception[0].message
     side = field(test, "selectbox", "Side")

@@ -66,11 +66,7 @@ def test_today_counts_what_is_ready(house: Path) -> None:
         store.save_stop(
             replace(template, key=new_key(), round_key=fresh.key, taken_s=fresh.started_s)
         )
-        ready = [
-            view
-            for view in store.detections(fresh.key)
-            if 0.25 < (view.record.length_m or 0) < 0.40
-        ]
+        ready = [view for view in store.detections(fresh.key) if 0.25 < (view.length_m or 0) < 0.40]
     test = app("today", round=fresh.key)
     shown = {metric.label: metric.value for metric in test.metric}
     assert "Measured today" in said(test)

@@ -69,7 +69,7 @@ def test_what_the_data_makes_doubtful_is_told_once_where_captures_come_in(house:
         for view in store.stops(WALK):
             stop = store.stop(view.key)
             doubted = [
-                replace(one, fruit=tuple(replace(x, flags="depth-hollow") for x in one.fruit))
+                replace(one, fruit=tuple(x.with_(flags="depth-hollow") for x in one.fruit))
                 for one in stop.captures
             ]
             new = replace(stop, key=new_key(), round_key=hollow.key, captures=tuple(doubted))

@@ -11,7 +11,7 @@ from tests.simulated_rows import Walk
 from cucumbervision.measurement.result import Length, LengthDefinition
 from cucumbervision_greenhouse.store.records import (
     CaptureRecord,
-    DetectionRecord,
+    FruitRow,
     Round,
     StopRecord,
     key_of,
@@ -47,11 +47,11 @@ def save_walk(store: Store) -> SaveWalk:
 
 def _stop(walk: Walk, number: int, record: Round, row: str) -> StopRecord:
     views, sign = walk.views, 1.0 - 2.0 * float(walk.stops.side[number])
-    fruit: list[DetectionRecord] = []
+    fruit: list[FruitRow] = []
     for k in (views.stop == number).nonzero()[0].tolist():
         x, up, depth = views.offset_m[k].tolist()
         length, sd = float(views.length_m[k]), float(views.length_sd[k])
-        one = DetectionRecord(
+        one = FruitRow(
             len(fruit) + 1,
             score=float(views.score[k]),
             flags="end-hidden" if views.partial[k] else "",

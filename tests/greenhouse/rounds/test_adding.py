@@ -83,9 +83,9 @@ def test_drawn_captures_become_each_fruit_once(store: Store, folder: Path) -> No
     table = fruit_table(read_round(store, MORNING))
     assert len(table) == len(FRUIT)
     for line, (along, _, _, length, _) in zip(table, FRUIT, strict=True):
-        assert line.view.along_m == pytest.approx(along, abs=0.03)
-        assert line.view.record.centreline_m == pytest.approx(length, rel=0.05)
-        assert line.view.views >= 3
+        assert line.along_m == pytest.approx(along, abs=0.03)
+        assert line.centreline_m == pytest.approx(length, rel=0.05)
+        assert line.views >= 3
 
     # The same captures again are neither measured nor saved.
     again = add_captures(store, MORNING, [folder], OPTIONS)

@@ -25,14 +25,14 @@ from cucumbervision_greenhouse.rounds.merge_and_link import (
 from cucumbervision_greenhouse.store.links import LinkKind, LinkRecord
 from cucumbervision_greenhouse.store.records import (
     CaptureRecord,
-    DetectionRecord,
+    FruitRow,
     Round,
     StopRecord,
+    Verdict,
     key_of,
     new_key,
 )
 from cucumbervision_greenhouse.store.repository import Store, open_store
-from cucumbervision_greenhouse.store.views import DetectionSummary, Verdict
 
 NOON_S = 1_700_000_000.0
 DAYS = [
@@ -53,7 +53,7 @@ def save_stop(
     """Save a stop with a fruit of each length at each offset along the row; return their keys."""
     day = [record.key for record in DAYS].index(round_key)
     fruit = tuple(
-        DetectionRecord(
+        FruitRow(
             number,
             score=0.9,
             length=length,
@@ -114,7 +114,7 @@ def test_the_demonstration_is_no_earlier_day_of_a_house_without_a_name(tmp_path:
     with open_store(tmp_path / "unnamed.db") as store:
         for key, day in ((MONDAY, 0), (DEMONSTRATION, 1), (TUESDAY, 2)):
             store.save_round(Round(key, "round", "", NOON_S + day * DAY_S))
-            fruit = (DetectionRecord(1, score=0.9, length=Length(0.1)),)
+            fruit = (FruitRow(1, score=0.9, length=Length(0.1)),)
             taken_s = NOON_S + day * DAY_S
             capture = CaptureRecord("a", fruit=fruit)
             store.save_stop(StopRecord(new_key(), key, taken_s=taken_s, captures=(capture,)))
@@ -251,7 +251,7 @@ def test_a_fruit_is_followed_through_the_days_between(store: Store) -> None:
     store.link_growth(tuesday, wednesday)
     [fruit] = compare(store, MONDAY, TUESDAY, WEDNESDAY).changes
     assert fruit.growth_m_per_day == pytest.approx(0.03, abs=1e-6)
-    days: list[list[DetectionSummary]] = [
+    days: list[list[FruitRow]] = [
         fruit_days(store, round_key, key)
         for round_key, key in ((MONDAY, monday), (TUESDAY, tuesday), (WEDNESDAY, wednesday))
     ]

@@ -12,7 +12,6 @@ from cucumbervision_greenhouse.rounds.forecasting import (
     midnight_s,
 )
 from cucumbervision_greenhouse.store.records import Round
-from cucumbervision_greenhouse.store.views import RoundSummary
 
 
 @pytest.fixture
@@ -36,7 +35,7 @@ def test_each_day_of_a_forecast_has_its_date_when_the_clocks_change(
     changes: datetime, hour: int
 ) -> None:
     walked = (changes - timedelta(1)).replace(hour=hour, minute=20)
-    walk = RoundSummary(Round("a", started_s=walked.timestamp()), 1, 1, None)
+    walk = Round("a", started_s=walked.timestamp())
     for later in range(3):
         now_s = (walked + timedelta(later)).timestamp()
         day_0 = day_0_s(walk, now_s)
@@ -48,5 +47,5 @@ def test_each_day_of_a_forecast_has_its_date_when_the_clocks_change(
 def test_day_0_is_never_before_the_last_stop(digit: int) -> None:
     """Clocks count finer than microseconds; a fruit measured after day 0 has no forecast."""
     walked_s = 1_700_000_000.0 + 2.4e-7 * digit
-    walk = RoundSummary(Round("a", started_s=walked_s), 1, 1, None)
+    walk = Round("a", started_s=walked_s)
     assert day_0_s(walk, walked_s + 60.0) == walked_s

@@ -14,20 +14,19 @@ from cucumbervision_greenhouse.rounds.from_store import (
     by_hand_of,
     counted_fruit,
     find_round,
-    joint_groups,
     read_round,
     stored_merging,
 )
 from cucumbervision_greenhouse.store.links import LinkKind, LinkRecord, Position
 from cucumbervision_greenhouse.store.records import (
     CaptureRecord,
-    DetectionRecord,
+    FruitRow,
     Round,
     StopRecord,
+    Verdict,
     key_of,
     new_key,
 )
-from cucumbervision_greenhouse.store.views import Verdict
 
 if TYPE_CHECKING:
     from cucumbervision_greenhouse.store.repository import Store
@@ -37,12 +36,12 @@ CENTRELINE = LengthDefinition.CENTRELINE
 CAMERA = {"width": 640, "height": 480, "fx": 400.0, "fy": 400.0}
 
 
-def fruit(number: int, length_m: float | None = 0.2, **changes: Any) -> DetectionRecord:
+def fruit(number: int, length_m: float | None = 0.2, **changes: Any) -> FruitRow:
     """A fruit 10 cm to the right of the camera for each number, 5 cm below it, 60 cm away."""
     length = None
     if length_m is not None:
         length = Length(length_m, CENTRELINE, 0.95 * length_m, 1.05 * length_m, CENTRELINE)
-    record = DetectionRecord(
+    record = FruitRow(
         number,
         method="M6",
         length=length,
@@ -52,10 +51,10 @@ def fruit(number: int, length_m: float | None = 0.2, **changes: Any) -> Detectio
         diameter_max_m=0.04,
         view_score=0.5,
     )
-    return replace(record, **changes)
+    return record.with_(**changes)
 
 
-def stop(step: int, *detections: DetectionRecord, **changes: Any) -> StopRecord:
+def stop(step: int, *detections: FruitRow, **changes: Any) -> StopRecord:
     record = StopRecord(
         key_of(MORNING.key, step),
         MORNING.key,
@@ -106,7 +105,7 @@ def test_a_round_that_is_nowhere_is_named(store: Store) -> None:
 
 def test_a_round_without_stops_has_no_rows(store: Store) -> None:
     content = read_round(store, MORNING.key)
-    assert (content.rows, content.views, joint_groups(content)) == ((), (), {})
+    assert (content.rows, content.views) == ((), ())
 
 
 def test_a_row_has_its_stops_and_views_as_arrays(store: Store) -> None:
@@ -206,37 +205,3 @@ def test_a_merged_row_comes_back_as_it_was_saved(store: Store) -> None:
     assert [sorted(pair) for pair in merged.pairs.tolist()] == [[1, 2]]
     np.testing.assert_allclose(merged.stops.at_m[:, 0], [0.5, 0.97])
     assert first in row.fruit_keys
-
-
-def test_only_whole_tubes_of_one_aisle_are_measured_jointly(store: Store) -> None:
-    rows(
-        store,
-        stop(1, fruit(1, view_score=0.4), fruit(2), fruit(3)),
-        stop(2, fruit(1, view_score=0.6), fruit(2, method="M5"), fruit(3, flags="depth-hollow")),
-        stop(3, fruit(1, view_score=0.5), side="right"),
-    )
-    a1, a2, a3, b1, b2, b3, c1 = (view.key for view in store.detections(MORNING.key))
-    pairs = [(a1, b1), (b1, c1), (a1, c1), (a2, b2), (a3, b3)]
-    links = [LinkRecord(LinkKind.SAME, *pair, 0.9) for pair in pairs]
-    store.save_merging(MORNING.key, links)
-    content = read_round(store, MORNING.key)
-    ((key, views),) = joint_groups(content).items()
-    # The best view first; the one from the other aisle is left out, and so is what M5 measured,
-    # or what has the depth of something else.
-    assert [view.key for view in views] == [b1, a1]
-    assert a3 not in {view.key for view in views}
-    # Another length is another measurement.
-    store.correct(a1, fruit(1, 0.21, view_score=0.4))
-    assert list(joint_groups(read_round(store, MORNING.key))) != [key]
-
-
-def test_of_many_views_the_five_best_are_measured_jointly(store: Store) -> None:
-    rows(store, *(stop(k, fruit(1, view_score=0.1 * k)) for k in range(1, 8)))
-    keys = [view.key for view in store.detections(MORNING.key)]
-    pairs = [(a, b) for k, a in enumerate(keys) for b in keys[k + 1 :]]
-    store.save_merging(MORNING.key, [LinkRecord(LinkKind.SAME, a, b, 0.9) for a, b in pairs])
-    (views,) = joint_groups(read_round(store, MORNING.key)).values()
-    assert [view.key for view in views] == keys[:1:-1]
-    store.set_verdict(keys[-1:], Verdict.REJECTED)
-    (views,) = joint_groups(read_round(store, MORNING.key)).values()
-    assert [view.key for view in views] == keys[5:0:-1]

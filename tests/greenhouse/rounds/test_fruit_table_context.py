@@ -17,13 +17,13 @@ from cucumbervision_greenhouse.rounds.fruit_table import (
 from cucumbervision_greenhouse.rounds.merge_and_link import DAY_S
 from cucumbervision_greenhouse.store.records import (
     CaptureRecord,
-    DetectionRecord,
+    FruitRow,
     Round,
     StopRecord,
+    Verdict,
     key_of,
 )
 from cucumbervision_greenhouse.store.repository import Store, open_store
-from cucumbervision_greenhouse.store.views import Verdict
 
 MONDAY = Round(key_of("monday"), "monday", "north", 1_700_000_000.0)
 TUESDAY = replace(MONDAY, key=key_of("tuesday"), name="tuesday", started_s=1_700_000_000.0 + DAY_S)
@@ -31,7 +31,7 @@ TUESDAY = replace(MONDAY, key=key_of("tuesday"), name="tuesday", started_s=1_700
 
 def stop(round_key: str, number: int, offsets: tuple[float, ...]) -> StopRecord:
     fruit = tuple(
-        DetectionRecord(
+        FruitRow(
             n,
             score=0.3 + 0.1 * n,
             length=Length(0.2),
@@ -67,7 +67,7 @@ def store(tmp_path: Path) -> Store:
 
 def test_the_least_sure_are_looked_at_first_until_somebody_judged_them(store: Store) -> None:
     views = store.detections(MONDAY.key)
-    assert [round(v.record.score, 1) for v in least_sure_first(views)] == [0.4, 0.4, 0.5, 0.5]
+    assert [round(v.score, 1) for v in least_sure_first(views)] == [0.4, 0.4, 0.5, 0.5]
     store.set_verdict([views[0].key], Verdict.ACCEPTED)
     assert len(least_sure_first(store.detections(MONDAY.key))) == 3
 
@@ -76,7 +76,7 @@ def test_unknown_lengths_count_in_no_figure_of_a_round_nor_its_forecast(tmp_path
     """Of 0.30, 0.32, 0.60 (outline and depth apart) and 0.10 m (in part), the first two count."""
     flagged = {0.30: "", 0.32: "", 0.60: "depth-unaligned", 0.10: "end-hidden"}
     fruit = tuple(
-        DetectionRecord(n, score=0.9, length=Length(length_m), centreline_m=length_m, flags=flags)
+        FruitRow(n, score=0.9, length=Length(length_m), centreline_m=length_m, flags=flags)
         for n, (length_m, flags) in enumerate(flagged.items(), 1)
     )
     with open_store(tmp_path / "figures.db") as opened:

@@ -28,7 +28,7 @@ from cucumbervision_greenhouse.store.links import LinkKind
 from cucumbervision_greenhouse.store.records import (
     ArtifactRecord,
     CaptureRecord,
-    DetectionRecord,
+    FruitRow,
     Round,
     StopRecord,
     key_of,
@@ -46,7 +46,7 @@ NEXT = Round(key_of("rounds", "next"), "next", "house 1", 2 * 86400.0, "long-cuc
 def forecast_of(store: Store, key: str, *, days: int) -> Forecast:
     """Give the forecast that a round had on its own day."""
     one = find_round(store, key)
-    return forecast_today(store, one, LONG, one.record.started_s, days=days)
+    return forecast_today(store, one, LONG, one.started_s, days=days)
 
 
 @pytest.fixture
@@ -65,7 +65,7 @@ def test_a_round_is_merged_and_counted(store: Store, row: Walk) -> None:
     assert report.views == len(row.views)
     assert report.stop_sd_m is not None
     assert report.stop_sd_m < 0.02
-    at = [line.view.along_m for line in table if line.view.along_m is not None]
+    at = [line.along_m for line in table if line.along_m is not None]
     assert at == sorted(at)
     assert store.stops(MORNING)[0].fitted_m is not None
 
@@ -82,29 +82,27 @@ def test_a_fruit_has_the_length_of_all_its_whole_views(store: Store, row: Walk) 
     views = store.detections(MORNING)
     several = 0
     for line in fruit_table(read_round(store, MORNING)):
-        alone = next(view.record for view in views if view.key == line.view.key)
-        own = [v.record for v in views if v.group == line.view.group]
+        alone = next(view for view in views if view.key == line.key)
+        own = [v for v in views if v.group == line.group]
         whole = [one for one in own if one.length_m is not None and not one.partial]
         if len(whole) < 2:
-            assert line.view.record == alone
+            assert line == alone.with_(number=line.number)
             continue
         several += 1
         lengths = [one.length_m for one in whole if one.length_m]
-        assert min(lengths) - 1e-9 <= (line.view.record.length_m or 0) <= max(lengths) + 1e-9
-        assert line.view.record.length is not None
-        assert line.view.record.length.sides is not None
-        assert line.view.record.length.sides[0] == line.view.record.length_m
+        assert min(lengths) - 1e-9 <= (line.length_m or 0) <= max(lengths) + 1e-9
+        assert line.length is not None
+        assert line.length.sides is not None
+        assert line.length.sides[0] == line.length_m
     assert several > 5
 
 
 def test_what_is_done_by_hand_survives_merging(store: Store, row: Walk) -> None:
     del row
-    many = next(
-        line.view for line in fruit_table(read_round(store, MORNING)) if line.view.views > 2
-    )
+    many = next(line for line in fruit_table(read_round(store, MORNING)) if line.views > 2)
     store.signed("kim").unmerge(many.key)
-    rest = [line for line in fruit_table(read_round(store, MORNING)) if line.view.key != many.key]
-    single = [line.view for line in rest if line.view.views == 1]
+    rest = [line for line in fruit_table(read_round(store, MORNING)) if line.key != many.key]
+    single = [line for line in rest if line.views == 1]
     one, other = single[0], next(v for v in single[1:] if v.capture != single[0].capture)
     store.signed("kim").merge(one.key, other.key)
     merge_round(store, MORNING)
@@ -133,8 +131,8 @@ def test_growth_is_linked_and_forecast(store: Store, row: Walk, save_walk: Save)
     table = fruit_table(read_round(store, NEXT.key))
     listed = {state.fruit_id: state.length_m for state in fruit_states(table, 0.0, LONG)}
     assert {link.fruit_id: link.length1_m for link in links}.items() <= listed.items()
-    by_one_view = {view.key: view.record.length_m for view in store.detections(NEXT.key)}
-    assert any(by_one_view[line.view.key] != line.view.record.length_m for line in table)
+    by_one_view = {view.key: view.length_m for view in store.detections(NEXT.key)}
+    assert any(by_one_view[line.key] != line.length_m for line in table)
     said = forecast_of(store, NEXT.key, days=2)
     # Today the fruit that were found and are in one class; later all that were found.
     decided = [name for name in map(class_of, said.possible) if name != UNDECIDED]
@@ -144,8 +142,8 @@ def test_growth_is_linked_and_forecast(store: Store, row: Walk, save_walk: Save)
 
 
 def test_the_forecast_holds_the_doubts_of_detection_and_depth_scale(store: Store) -> None:
-    fruit = [DetectionRecord(k, length=Length(0.25, KIND, 0.24, 0.26, KIND)) for k in (1, 2, 3, 4)]
-    fruit[1] = DetectionRecord(2)  # found, and not measured
+    fruit = [FruitRow(k, length=Length(0.25, KIND, 0.24, 0.26, KIND)) for k in (1, 2, 3, 4)]
+    fruit[1] = FruitRow(2)  # found, and not measured
     captures = (CaptureRecord("a", fruit=tuple(fruit)),)
     store.save_stop(StopRecord(key_of("only"), MORNING, row="1", captures=captures))
     table = fruit_table(read_round(store, MORNING))
@@ -194,7 +192,7 @@ def test_growth_is_followed_through_three_rounds_and_no_other_is_read(
     for day in (2, 3, 4):
         record = Round(key_of("three", day), f"day {day}", "", day * 86400.0)
         store.save_round(record)
-        fruit = DetectionRecord(1, length=Length(0.1 + 0.03 * day))
+        fruit = FruitRow(1, length=Length(0.1 + 0.03 * day))
         capture = CaptureRecord("c", fruit=(fruit,))
         stop = StopRecord(key_of("s", day), record.key, row="1", captures=(capture,))
         store.save_stop(stop)
@@ -239,6 +237,6 @@ def test_stops_without_position_stand_alone(store: Store, save_walk: Save) -> No
 
 def test_links_are_saved_for_all_pairs_of_a_fruit(store: Store, row: Walk) -> None:
     del row
-    sizes = [line.view.views for line in fruit_table(read_round(store, MORNING))]
+    sizes = [line.views for line in fruit_table(read_round(store, MORNING))]
     links = store.links(MORNING, LinkKind.SAME)
     assert len(links) == sum(size * (size - 1) // 2 for size in sizes)

@@ -19,7 +19,6 @@ from cucumbervision_greenhouse.rounds.merge_and_link import (
     settle,
     undo,
 )
-from cucumbervision_greenhouse.store.corrections import StopPlace
 from cucumbervision_greenhouse.store.links import LinkKind
 from cucumbervision_greenhouse.store.records import CaptureRecord, StopRecord, key_of
 from cucumbervision_greenhouse.store.waiting import WaitingCaptures
@@ -44,11 +43,11 @@ def test_a_stop_that_is_deleted_meanwhile_is_a_fault_in_words(
 ) -> None:
     save, links = store.save_merging, []
 
-    def deleted_before(key: str, found: list[object], positions: object) -> int:
+    def deleted_before(key: str, found: list[object], positions: object) -> None:
         links.extend(found)
         for stop in stops:
             store.delete_stop(stop)
-        return save(key, found, positions)  # type: ignore[arg-type]
+        save(key, found, positions)  # type: ignore[arg-type]
 
     monkeypatch.setattr(store, "save_merging", deleted_before)
     said = settle(store, MORNING)
@@ -57,7 +56,7 @@ def test_a_stop_that_is_deleted_meanwhile_is_a_fault_in_words(
 
 
 def test_a_round_that_is_deleted_meanwhile_is_named(store: Store) -> None:
-    one = next(one.record for one in store.rounds())
+    one = next(one for one in store.rounds())
     later = replace(one, key=key_of("later"), started_s=one.started_s + 86400.0)
     store.save_round(later)
     store.delete_round(later.key)
@@ -66,7 +65,7 @@ def test_a_round_that_is_deleted_meanwhile_is_named(store: Store) -> None:
 
 
 def test_undoing_returns_the_round_whose_stop_was_moved(store: Store, stops: list[str]) -> None:
-    store.place_stop(stops[0], StopPlace("3", "left", 1.0, 1))
+    store.place_stop(replace(store.stops(MORNING)[0], position_m=1.0))
     store.pick([store.detections(MORNING)[0].key])
     assert undo(store, MORNING) == []
     assert undo(store, MORNING) == [MORNING]
@@ -99,7 +98,7 @@ def linked(store: Store, first: str, second: str) -> set[tuple[str, str]]:
 
 def three_days(store: Store, save_walk: SaveWalk) -> list[str]:
     """Save a row on three days, settled; return the rounds."""
-    begun = next(one.record for one in store.rounds())
+    begun = next(one for one in store.rounds())
     days = [
         replace(begun, key=key_of("rounds", day), started_s=begun.started_s + 86400.0 * day)
         for day in range(3)
@@ -165,7 +164,7 @@ def test_days_are_those_of_the_captures_whenever_a_round_was_begun(
     store: Store, save_walk: SaveWalk
 ) -> None:
     """The later day is uploaded first, both in one evening, into '7' and 'House 7'."""
-    begun = next(one.record for one in store.rounds())
+    begun = next(one for one in store.rounds())
     morning_s = 1_700_000_000.0
     evening_s = morning_s + 10 * 86400.0
     walk = simulate_row(SimulatedRow(fruit=12), 1)
@@ -178,7 +177,7 @@ def test_days_are_those_of_the_captures_whenever_a_round_was_begun(
         save_walk(replace(walk, views=grown), taken)
         days.append(one.key)
     later, earlier = days
-    assert {one.record.house for one in store.rounds() if one.key in days} == {"7"}
+    assert {one.house for one in store.rounds() if one.key in days} == {"7"}
     assert earlier_round(store, earlier) is None
     assert settle(store, earlier) == settle(store, later) == ""
     pairs = linked(store, earlier, later)

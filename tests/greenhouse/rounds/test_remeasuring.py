@@ -15,16 +15,15 @@ from cucumbervision_greenhouse.rounds.adding import add_captures
 from cucumbervision_greenhouse.rounds.from_store import find_round
 from cucumbervision_greenhouse.rounds.remeasuring import measure_round_again
 from cucumbervision_greenhouse.store.check import check_store
-from cucumbervision_greenhouse.store.records import key_of
+from cucumbervision_greenhouse.store.records import FruitRow, Verdict, key_of
 from cucumbervision_greenhouse.store.repository import Store
-from cucumbervision_greenhouse.store.views import DetectionSummary, Verdict
 
 MORNING = key_of("rounds", "morning")
 OPTIONS = MeasureOptions(instances="dataset", methods=(MethodName.M3, MethodName.M6))
 CHORD = replace(OPTIONS, length=LengthDefinition.CHORD)
 
 
-def measured_again(store: Store, options: MeasureOptions) -> list[DetectionSummary]:
+def measured_again(store: Store, options: MeasureOptions) -> list[FruitRow]:
     key, failures = measure_round_again(store, find_round(store, MORNING), options)
     assert failures == []
     return store.detections(key)
@@ -34,16 +33,16 @@ def test_a_round_is_measured_into_a_new_version_and_the_old_stays_readable(store
     add_captures(store, MORNING, [example_captures() / "simulated-row-a"], OPTIONS)
     before = store.detections(MORNING)
     after = measured_again(store, CHORD)
-    assert [view.record.length and str(view.record.length.kind) for view in after] == ["chord"] * 3
-    assert [view.record.chord_m for view in after] == pytest.approx(
-        [view.record.chord_m for view in before], abs=1e-4
+    assert [view.length and str(view.length.kind) for view in after] == ["chord"] * 3
+    assert [view.chord_m for view in after] == pytest.approx(
+        [view.chord_m for view in before], abs=1e-4
     )
     assert [view.along_m for view in after] == pytest.approx(
         [view.along_m for view in before], abs=1e-3
     )
     [old] = [walk for walk in store.rounds(deleted=True) if walk.key == MORNING]
     [new] = [walk for walk in store.rounds() if walk.key == after[0].round_key]
-    assert (new.record.name, new.walked_s) == (old.record.name, old.walked_s)
+    assert (new.name, new.walked_s) == (old.name, old.walked_s)
     assert check_store(store).sound
     store.restore_round(MORNING)
     assert store.detections(MORNING) == before
@@ -63,7 +62,7 @@ def test_a_fruit_that_is_not_found_again_is_measured_in_its_outline(
     store: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     add_captures(store, MORNING, [example_captures() / "simulated-row-a"], OPTIONS)
-    before = {round(view.record.box_x1_px): view for view in store.detections(MORNING)}
+    before = {round(view.box_x1_px): view for view in store.detections(MORNING)}
     [left, *_] = (before[x] for x in sorted(before))
     store.set_verdict([left.key], Verdict.ACCEPTED)
     find = Measurer.measure_detected
@@ -77,8 +76,8 @@ def test_a_fruit_that_is_not_found_again_is_measured_in_its_outline(
     monkeypatch.setattr(Measurer, "measure_detected", without_the_left)
     after = measured_again(store, OPTIONS)
     [again] = [view for view in after if view.verdict is Verdict.ACCEPTED]
-    assert (len(after), again.record.number) == (3, 3)
-    assert again.record.length_m == pytest.approx(left.record.length_m, abs=1e-4)
+    assert (len(after), again.fruit) == (3, 3)
+    assert again.length_m == pytest.approx(left.length_m, abs=1e-4)
 
 
 def test_nothing_changes_where_a_picture_is_missing(store: Store) -> None:

@@ -12,14 +12,13 @@ from cucumbervision.measurement.result import Length
 from cucumbervision_greenhouse.store.records import (
     ArtifactRecord,
     CaptureRecord,
-    DetectionRecord,
-    MethodRecord,
+    FruitRow,
     Round,
     StopRecord,
     key_of,
 )
 from cucumbervision_greenhouse.store.repository import Store, open_store
-from cucumbervision_greenhouse.store.schema import Base
+from cucumbervision_greenhouse.store.schema import METADATA
 
 WALK = Round(key_of("walk"), "morning", "house 1", 1000.0)
 NEXT_DAY = Round(key_of("next day"), "next morning", "house 1", 87400.0)
@@ -81,7 +80,7 @@ def store(backend: str, request: pytest.FixtureRequest, tmp_path: Path) -> Itera
     else:
         url = request.getfixturevalue("made_database")
         name = url.split("?")[0].rpartition("/")[2]
-        tables = ", ".join(Base.metadata.tables)
+        tables = ", ".join(METADATA.tables)
         request.getfixturevalue("cluster").say(f"TRUNCATE {tables} RESTART IDENTITY", name)
     with open_store(url, images=tmp_path / "pictures") as opened:
         opened.save_round(WALK)
@@ -95,7 +94,7 @@ def make_stop() -> MakeStop:
 
     def make(step: int = 0, /, fruit: int = 2, **changes: Any) -> StopRecord:
         found = tuple(
-            DetectionRecord(
+            FruitRow(
                 k,
                 method="M6",
                 length=Length(0.1 * step + 0.01 * k),
@@ -104,16 +103,10 @@ def make_stop() -> MakeStop:
                 view_score=0.5,
                 keypoints=((1.0, 2.0, 0.9),),
                 mask="123",
-                methods=(
-                    MethodRecord("M1", 0.2),
-                    MethodRecord(
-                        "M6",
-                        0.25,
-                        thread_m=0.27,
-                        path_m=((0.0, 0.1, 0.5), (0.2, 0.1, 0.5)),
-                        diameter_m=(0.04, 0.05),
-                    ),
-                ),
+                m1_m=0.2,
+                m6_m=0.25,
+                path_m=((0.0, 0.1, 0.5), (0.2, 0.1, 0.5)),
+                diameter_m=(0.04, 0.05),
             )
             for k in range(1, fruit + 1)
         )

@@ -10,7 +10,6 @@ import pytest
 from cucumbervision_greenhouse.store.check import check_store
 from cucumbervision_greenhouse.store.records import (
     CaptureRecord,
-    ImageRef,
     key_of,
 )
 from cucumbervision_greenhouse.store.repository import Store
@@ -28,9 +27,9 @@ def age(path: Path, seconds: float = 7200) -> Path:
 
 
 @pytest.fixture
-def refs(store: Store, make_stop: MakeStop) -> list[ImageRef]:
+def refs(store: Store, make_stop: MakeStop) -> list[str]:
     """Three pictures of one stop, two hours old."""
-    refs = [store.images.put(b"picture %d" % k, ".png", 1, 1) for k in range(3)]
+    refs = [store.images.put(b"picture %d" % k, ".png") for k in range(3)]
     capture = CaptureRecord("a", color=refs[0], depth=refs[1], thumbnail=refs[2])
     store.save_stop(make_stop(1, captures=(capture,)))
     for ref in refs:
@@ -38,7 +37,7 @@ def refs(store: Store, make_stop: MakeStop) -> list[ImageRef]:
     return refs
 
 
-def test_a_sound_store(store: Store, refs: list[ImageRef]) -> None:
+def test_a_sound_store(store: Store, refs: list[str]) -> None:
     report = check_store(store, remove=True)
     assert (report.pictures, report.sound) == (3, True)
     assert (report.orphans, report.removed) == ((), ())
@@ -46,7 +45,7 @@ def test_a_sound_store(store: Store, refs: list[ImageRef]) -> None:
     assert store.stops(store.rounds()[1].key)[0].thumbnail == refs[2]
 
 
-def test_what_is_missing_or_damaged_is_named_and_left(store: Store, refs: list[ImageRef]) -> None:
+def test_what_is_missing_or_damaged_is_named_and_left(store: Store, refs: list[str]) -> None:
     missing, damaged = (store.images.path(ref) for ref in refs[:2])
     missing.unlink()
     damaged.write_bytes(b"something else")
@@ -55,11 +54,9 @@ def test_what_is_missing_or_damaged_is_named_and_left(store: Store, refs: list[I
     assert damaged.exists()
 
 
-def test_orphans_are_found_and_removed_once_they_are_old(
-    store: Store, refs: list[ImageRef]
-) -> None:
-    old = age(store.images.path(store.images.put(b"orphan", ".png", 1, 1)))
-    young = store.images.path(store.images.put(b"on its way", ".png", 1, 1))
+def test_orphans_are_found_and_removed_once_they_are_old(store: Store, refs: list[str]) -> None:
+    old = age(store.images.path(store.images.put(b"orphan", ".png")))
+    young = store.images.path(store.images.put(b"on its way", ".png"))
     found = check_store(store)
     assert (found.orphans, found.removed) == ((old,), ())
     assert old.exists()
@@ -73,14 +70,14 @@ def test_an_orphan_that_somebody_uses_just_now_is_brought_back(
     store: Store, make_stop: MakeStop, monkeypatch: pytest.MonkeyPatch, used: str
 ) -> None:
     """Between finding an orphan and removing it another program saves a stop with it."""
-    ref = store.images.put(b"orphan", ".png", 1, 1)
+    ref = store.images.put(b"orphan", ".png")
     path = age(store.images.path(ref))
     take_away = Path.replace
 
     def meanwhile(self: Path, target: Path) -> Path:
         if self == path:
             if used == "put":
-                store.images.put(b"orphan", ".png", 1, 1)
+                store.images.put(b"orphan", ".png")
             else:
                 store.save_stop(make_stop(1, captures=(CaptureRecord("a", color=ref),)))
         return take_away(self, target)
@@ -90,9 +87,7 @@ def test_an_orphan_that_somebody_uses_just_now_is_brought_back(
     assert store.images.read(ref) == b"orphan"
 
 
-def test_a_check_that_was_killed_is_made_good_by_the_next(
-    store: Store, refs: list[ImageRef]
-) -> None:
+def test_a_check_that_was_killed_is_made_good_by_the_next(store: Store, refs: list[str]) -> None:
     path = store.images.path(refs[0])
     path.replace(path.with_name(f"{path.name}.removing"))
     assert check_store(store).missing == (path,)
@@ -100,7 +95,7 @@ def test_a_check_that_was_killed_is_made_good_by_the_next(
     assert store.images.read(refs[0]) == b"picture 0"
 
 
-def test_sqlites_own_faults_are_told(store: Store, refs: list[ImageRef]) -> None:
+def test_sqlites_own_faults_are_told(store: Store, refs: list[str]) -> None:
     if store.engine.dialect.name != "sqlite":
         pytest.skip("PostgreSQL checks its keys itself, always")
     # Past the store, as another program might do it.

@@ -7,15 +7,26 @@ import pytest
 
 from cucumbervision.errors import NameRefusedError, StoreConflictError, StoreError
 from cucumbervision_greenhouse.store.check import check_store
-from cucumbervision_greenhouse.store.corrections import StopPlace
 from cucumbervision_greenhouse.store.links import LinkKind, LinkRecord, Position
-from cucumbervision_greenhouse.store.records import DetectionRecord, Round, Saved, key_of
+from cucumbervision_greenhouse.store.records import FruitRow, Round, Saved, StopRecord, key_of
 from cucumbervision_greenhouse.store.repository import Store
 
 if TYPE_CHECKING:
     from tests.greenhouse.store.conftest import MakeStop
 
 WALK, NEXT_DAY = key_of("walk"), key_of("next day")
+
+
+def placed(
+    key: str,
+    row: str | None,
+    side: str | None,
+    position_m: float | None,
+    step: int | None,
+    note: str = "",
+    mirrored: bool = False,
+) -> StopRecord:
+    return StopRecord(key, WALK, row, side, position_m, step=step, note=note, mirrored=mirrored)
 
 
 @pytest.fixture
@@ -28,7 +39,7 @@ def stops(store: Store, make_stop: MakeStop) -> list[str]:
 
 def test_a_stop_is_moved_and_its_fruit_with_it(store: Store, stops: list[str]) -> None:
     store.save_merging(WALK, [], {stops[0]: Position(0.45, 0.01), stops[1]: Position(0.8, 0.01)})
-    store.signed("ana").place_stop(stops[0], StopPlace("4", "left", 2.0, 9, "the long leaf"))
+    store.signed("ana").place_stop(placed(stops[0], "4", "left", 2.0, 9, "the long leaf"))
     moved, other = store.stops(WALK)
     assert (moved.row, moved.position_m, moved.fitted_m) == ("4", 2.0, None)
     assert (moved.step, moved.note) == (9, "the long leaf")
@@ -51,11 +62,11 @@ def test_a_stop_is_moved_and_its_fruit_with_it(store: Store, stops: list[str]) -
 def test_fruit_of_a_mirrored_stop_lie_on_the_other_side_of_it(
     store: Store, stops: list[str]
 ) -> None:
-    pose = store.cameras(WALK)[stops[0]].pose
-    store.place_stop(stops[0], StopPlace("3", "right", 0.4, 1, mirrored=True))
+    pose = store.stops(WALK)[0].pose_now
+    store.place_stop(placed(stops[0], "3", "right", 0.4, 1, mirrored=True))
     along = [round(v.along_m or 0, 3) for v in store.detections(WALK) if v.stop_key == stops[0]]
     assert along == [0.3, 0.2]
-    turned = store.cameras(WALK)[stops[0]].pose
+    turned = store.stops(WALK)[0].pose_now
     assert list(turned) == [*(-x for x in pose[:3]), *pose[3:]]
 
 
@@ -68,8 +79,7 @@ def test_a_deleted_stop_is_in_no_list_and_comes_back(store: Store, stops: list[s
     assert [view.key for view in store.detections(WALK)] == keys[:2]
     assert store.links(WALK) == []
     assert [(one.stops, one.fruit) for one in store.rounds() if one.key == WALK] == [(1, 2)]
-    assert set(store.cameras(WALK)) == set(store.artifacts(WALK)) == {stops[0]}
-    assert set(store.measurements(WALK)) == set(keys[:2])
+    assert set(store.artifacts(WALK)) == {stops[0]}
     with pytest.raises(StoreError, match="is not in the store"):
         store.pick([keys[2]])
     with pytest.raises(StoreError, match="is not in the store"):
@@ -89,12 +99,12 @@ def test_a_deleted_stop_that_is_sent_again_stays_deleted(
     gone = [store.stop_is_deleted(key) for key in (*stops, key_of("nowhere"))]
     assert gone == [True, False, None]
     with pytest.raises(StoreError, match="has no capture"):
-        store.add_fruit(stops[0], "a", DetectionRecord(1))
+        store.add_fruit(stops[0], "a", FruitRow(1))
 
 
 def test_an_edit_on_which_another_stands_is_undone_after_it(store: Store, stops: list[str]) -> None:
-    first = store.place_stop(stops[0], StopPlace("3", "left", 1.0, 1))
-    second = store.place_stop(stops[0], StopPlace("3", "left", 1.5, 1))
+    first = store.place_stop(placed(stops[0], "3", "left", 1.0, 1))
+    second = store.place_stop(placed(stops[0], "3", "left", 1.5, 1))
     with pytest.raises(StoreConflictError, match="undo the later change first"):
         store.undo(number=first)
     assert [stop.position_m for stop in store.stops(WALK)] == [1.5, 0.8]
@@ -106,7 +116,7 @@ def test_an_edit_on_which_another_stands_is_undone_after_it(store: Store, stops:
 def test_rounds_move_to_another_house_and_back(store: Store, stops: list[str]) -> None:
     assert len(stops) == 2
     both = [WALK, NEXT_DAY]
-    assert {one.record.house for one in store.rounds()} == {"house 1"}
+    assert {one.house for one in store.rounds()} == {"house 1"}
     assert store.move_rounds(both, "North") == 2
     assert store.move_rounds(both, "North") == 0
     # The device that began it may still send it as it was.
@@ -118,11 +128,11 @@ def test_rounds_move_to_another_house_and_back(store: Store, stops: list[str]) -
     # Another spelling of a house means that house; of its own it is a new spelling.
     assert store.move_rounds([WALK], "south") == 1
     assert store.move_rounds([NEXT_DAY], "house north") == 1
-    house = {one.key: one.record.house for one in store.rounds()}
+    house = {one.key: one.house for one in store.rounds()}
     assert (house[WALK], house[NEXT_DAY]) == ("House South", "house north")
     store.undo(WALK)
     store.undo(WALK)
-    assert {one.key: one.record.house for one in store.rounds()}[WALK] == "house 1"
+    assert {one.key: one.house for one in store.rounds()}[WALK] == "house 1"
     with pytest.raises(NameRefusedError):
         store.move_rounds(both, "a\u202eb")
     assert check_store(store).sound
@@ -131,7 +141,7 @@ def test_rounds_move_to_another_house_and_back(store: Store, stops: list[str]) -
 def test_a_round_is_renamed_deleted_and_brought_back(store: Store, stops: list[str]) -> None:
     assert len(stops) == 2
     store.rename_round(WALK, "evening")
-    assert [one.record.name for one in store.rounds()] == ["next morning", "evening"]
+    assert [one.name for one in store.rounds()] == ["next morning", "evening"]
     # Who began it may still send it under its first name.
     assert store.save_round(Round(WALK, "morning", "house 1", 1000.0)) is Saved.ALREADY_THERE
     store.delete_round(WALK)
@@ -140,7 +150,7 @@ def test_a_round_is_renamed_deleted_and_brought_back(store: Store, stops: list[s
     store.restore_round(WALK)
     assert [(one.key, one.stops) for one in store.rounds()] == [(NEXT_DAY, 0), (WALK, 2)]
     store.undo(WALK)
-    assert [one.record.name for one in store.rounds()] == ["next morning", "morning"]
+    assert [one.name for one in store.rounds()] == ["next morning", "morning"]
     with pytest.raises(StoreError, match="is not deleted"):
         store.restore_round(WALK)
     with pytest.raises(StoreError, match="is not in the store"):
@@ -169,4 +179,4 @@ def test_two_viewers_move_the_same_rounds_at_once(store: Store) -> None:
     for mover in movers:
         mover.join()
     assert not faults
-    assert len({line.record.house for line in store.rounds()}) == 1
+    assert len({line.house for line in store.rounds()}) == 1

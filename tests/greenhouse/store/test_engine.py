@@ -154,7 +154,7 @@ def test_a_store_that_may_not_be_written_can_be_read() -> None:
             os.seteuid(65534)
         try:
             with open_store(folder / "house.db") as store:
-                assert [one.record.name for one in store.rounds()] == ["morning"]
+                assert [one.name for one in store.rounds()] == ["morning"]
                 with pytest.raises(StoreError, match="readonly database; check the file's perm"):
                     store.rename_round(key_of("walk"), "noon")
         finally:

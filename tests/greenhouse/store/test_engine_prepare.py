@@ -10,7 +10,6 @@ from sqlalchemy import inspect, text
 from cucumbervision.errors import StoreError, StoreVersionError
 from cucumbervision.measurement.result import Length
 from cucumbervision_greenhouse.store.engine import (
-    VERSION,
     VERSION_TABLE,
     begin,
     database_url,
@@ -18,19 +17,20 @@ from cucumbervision_greenhouse.store.engine import (
 )
 from cucumbervision_greenhouse.store.records import (
     CaptureRecord,
-    DetectionRecord,
+    FruitRow,
     Round,
     StopRecord,
     key_of,
 )
 from cucumbervision_greenhouse.store.repository import open_store
+from cucumbervision_greenhouse.store.schema import VERSION
 
 
 def test_a_store_of_another_version_is_refused_and_stays_as_it_is(address: str) -> None:
     with open_store(address) as store, begin(store.engine, write=True) as connection:
         connection.execute(text(f"UPDATE {VERSION_TABLE} SET version = '999'"))
     with pytest.raises(
-        StoreVersionError, match=f"has schema 999, .* schema {VERSION}; use the version"
+        StoreVersionError, match=f"has schema 999, .* schema 3 to {VERSION}; use the version"
     ):
         open_store(address)
     engine = make_engine(database_url(address))
@@ -83,7 +83,7 @@ def test_an_empty_file_becomes_a_store(tmp_path: Path) -> None:
 
 def test_a_new_field_of_a_record_gets_its_column(address: str) -> None:
     walk, stop = Round(key_of("walk")), key_of("stop")
-    capture = CaptureRecord("a", fruit=(DetectionRecord(1, length=Length(0.3), tilt_deg=4.0),))
+    capture = CaptureRecord("a", fruit=(FruitRow(1, length=Length(0.3), tilt_deg=4.0),))
     with open_store(address) as store:
         store.save_round(walk)
         store.save_stop(StopRecord(stop, walk.key, captures=(capture,)))
@@ -92,7 +92,7 @@ def test_a_new_field_of_a_record_gets_its_column(address: str) -> None:
             connection.execute(text("ALTER TABLE fruit DROP COLUMN tilt_deg"))
     with open_store(address) as store:
         [old] = store.detections(walk.key)
-        assert (old.record.length_m, old.record.tilt_deg) == (0.3, None)
-        again = replace(capture, fruit=(DetectionRecord(1, tilt_deg=5.0),))
+        assert (old.length_m, old.tilt_deg) == (0.3, None)
+        again = replace(capture, fruit=(FruitRow(1, tilt_deg=5.0),))
         store.save_stop(StopRecord(key_of("next"), walk.key, captures=(again,)))
-        assert store.detections(walk.key)[1].record.tilt_deg == 5.0
+        assert store.detections(walk.key)[1].tilt_deg == 5.0

@@ -15,7 +15,6 @@ import pytest
 
 from cucumbervision.errors import DiskFullError, StoredImageError, StoreError
 from cucumbervision_greenhouse.store.images import DEPTH_UNIT_M, THUMBNAIL_PX, ImageStore
-from cucumbervision_greenhouse.store.records import ImageRef
 from cucumbervision_greenhouse.store.repository import open_store
 
 
@@ -35,12 +34,8 @@ def test_a_picture_is_named_by_its_content_and_comes_back_exactly(
     ref = images.put_color(color)
     path = images.path(ref)
     data = path.read_bytes()
-    assert ref == ImageRef(hashlib.sha256(data).hexdigest(), ".png", len(data), 64, 48)
-    assert path.relative_to(images.folder).parts == (
-        ref.sha256[:2],
-        ref.sha256[2:4],
-        f"{ref.sha256}.png",
-    )
+    assert ref == f"{hashlib.sha256(data).hexdigest()}.png"
+    assert path.relative_to(images.folder).parts == (ref[:2], ref[2:4], ref)
     np.testing.assert_array_equal(images.read_color(ref), color)
     assert list((images.folder / "writing").iterdir()) == []
 
@@ -99,11 +94,11 @@ def test_a_damaged_picture_is_noticed_and_put_again_beside_it(
 
 def test_a_missing_picture_is_named(images: ImageStore) -> None:
     with pytest.raises(StoredImageError, match=r"ab{3}\.png: cannot be read"):
-        images.read(ImageRef("abbb", ".png", 1, 1, 1))
+        images.read("abbb.png")
 
 
 def test_what_is_no_picture_is_said(images: ImageStore) -> None:
-    ref = images.put(b"no picture", ".png", 1, 1)
+    ref = images.put(b"no picture", ".png")
     with pytest.raises(StoredImageError, match="is not a readable picture"):
         images.read_color(ref)
 
@@ -111,7 +106,7 @@ def test_what_is_no_picture_is_said(images: ImageStore) -> None:
 def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     (tmp_path / "pictures").write_text("a file")
     with pytest.raises(StoreError, match=r"cannot be written .* send the stop again"):
-        ImageStore(tmp_path / "pictures").put(b"x", ".png", 1, 1)
+        ImageStore(tmp_path / "pictures").put(b"x", ".png")
 
 
 def test_what_cannot_be_finished_leaves_nothing(
@@ -122,7 +117,7 @@ def test_what_cannot_be_finished_leaves_nothing(
 
     monkeypatch.setattr("os.fsync", full)
     with pytest.raises(DiskFullError, match=r"No space left on device.*; free some space"):
-        images.put(b"x", ".png", 1, 1)
+        images.put(b"x", ".png")
     assert [p for p in images.folder.rglob("*") if p.is_file()] == []
 
 
@@ -144,11 +139,11 @@ def test_a_name_is_given_only_to_what_is_on_the_disk(
 
     monkeypatch.setattr(os, "fsync", fsync)
     monkeypatch.setattr(Path, "replace", replace)
-    images.put(b"first", ".png", 1, 1)
+    images.put(b"first", ".png")
     # The entries of the file, of its two folders, and of the whole folder of pictures.
     assert done == ["content", "name", *["folder"] * 4]
     done.clear()
-    images.put(b"first", ".png", 1, 1)
+    images.put(b"first", ".png")
     assert done == []
 
 
@@ -157,7 +152,7 @@ def test_what_a_killed_run_left_half_written_is_removed_at_the_next_start(tmp_pa
 import os, pathlib, sys
 from cucumbervision_greenhouse.store.images import ImageStore
 os.fsync = lambda _: os.kill(os.getpid(), 9)
-ImageStore(pathlib.Path(sys.argv[1])).put(b"half a picture", ".png", 1, 1)
+ImageStore(pathlib.Path(sys.argv[1])).put(b"half a picture", ".png")
 """
     folder = tmp_path / "house.images"
     killed = subprocess.run([sys.executable, "-c", program, folder], check=False)

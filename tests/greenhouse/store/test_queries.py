@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import sqlite3
-from dataclasses import replace
 from math import hypot
 from typing import TYPE_CHECKING, Any
 
@@ -12,14 +11,15 @@ from cucumbervision.errors import StoreError
 from cucumbervision_greenhouse.store.engine import begin
 from cucumbervision_greenhouse.store.records import (
     CaptureRecord,
-    DetectionRecord,
+    DetectionFilter,
+    FruitRow,
     Round,
+    Verdict,
     key_of,
     new_key,
 )
 from cucumbervision_greenhouse.store.repository import Store, open_store
-from cucumbervision_greenhouse.store.schema import Base
-from cucumbervision_greenhouse.store.views import DetectionFilter, Verdict
+from cucumbervision_greenhouse.store.schema import METADATA
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -34,7 +34,7 @@ def test_rounds_are_listed_with_what_they_hold(store: Store, make_stop: MakeStop
     store.save_round(Round(key_of("other"), "elsewhere", "house 2", 500.0))
     store.save_stop(make_stop(1))
     store.save_stop(make_stop(2, fruit=3))
-    found = [(r.record.name, r.stops, r.fruit, r.last_s) for r in store.rounds()]
+    found = [(r.name, r.stops, r.fruit, r.last_s) for r in store.rounds()]
     assert found == [
         ("next morning", 0, 0, None),
         ("morning", 2, 5, 1002.0),
@@ -58,27 +58,27 @@ def test_a_list_leaves_out_what_is_heavy_and_one_fruit_has_it(
     store.save_stop(stop)
     listed = store.detections(WALK)[1]
     whole = stop.captures[0].fruit[1]
-    assert listed.record == replace(whole, mask=None, keypoints=(), methods=())
+    assert listed.cells == whole.cells
+    assert (listed.mask, listed.keypoints, listed.path_m) == (None, (), ())
     detail = store.detection(listed.key)
-    assert detail.view == replace(listed, record=whole)
+    assert detail.view == listed.with_(**whole.shape)
+    assert store.detections(WALK, shapes=True)[1] == detail.view
     assert detail.original == whole
     assert (detail.capture, detail.stop) == (stop.captures[0], stop)
     assert (detail.links, detail.log) == ((), ())
-    methods = tuple(replace(method, path_m=(), diameter_m=()) for method in whole.methods)
-    assert store.measurements(WALK)[listed.key] == methods
 
 
 def test_filters_keep_what_they_say(store: Store, make_stop: MakeStop) -> None:
     store.save_stop(make_stop(1))
     store.save_stop(make_stop(2, row="4"))
-    unmeasured = CaptureRecord("a", fruit=(DetectionRecord(1),))
+    unmeasured = CaptureRecord("a", fruit=(FruitRow(1),))
     store.save_stop(make_stop(3, side="right", captures=(unmeasured,)))
     keys = [one.key for one in store.detections(WALK)]
     store.set_verdict([keys[2]], Verdict.REJECTED)
 
     def kept(**only: Any) -> list[int]:
         found = store.detections(WALK, DetectionFilter(**only))
-        return [10 * (one.step or 0) + one.record.number for one in found]
+        return [10 * (one.step or 0) + one.fruit for one in found]
 
     assert kept() == [11, 12, 21, 22, 31]
     assert kept(row="4") == [21, 22]
@@ -93,7 +93,6 @@ def test_what_is_not_there_is_said(store: Store) -> None:
         "stops",
         "detections",
         "links",
-        "measurements",
         "stop",
         "detection",
         "undo",
@@ -113,7 +112,7 @@ def test_an_open_reader_neither_waits_for_a_writer_nor_sees_half(
 
 
 def test_a_reader_sees_one_moment(store: Store, make_stop: MakeStop) -> None:
-    count = select(func.count()).select_from(Base.metadata.tables["stops"])
+    count = select(func.count()).select_from(METADATA.tables["stops"])
     with begin(store.engine) as connection:
         before = connection.execute(count).scalar_one()
         store.save_stop(make_stop(1))
@@ -168,12 +167,12 @@ def test_cameras_and_what_they_were_measured_with_are_by_stop(
     next_day = Round(key_of("next day"), "next morning", "house 1", 87400.0)
     for stop in (first, second, make_stop(1, round=next_day)):
         store.save_stop(stop)
-    cameras = store.cameras(WALK)
-    assert [list(cameras[stop.key].pose) for stop in (first, second)] == [list(pose), []]
-    assert cameras[first.key].camera == {"fx_px": 600.0}
-    assert list(cameras[first.key].captures) == ["a"]
-    assert set(cameras) == {first.key, second.key}
-    assert store.artifacts(WALK) == {first.key: first.artifacts}
+    stops = store.stops(WALK)
+    assert [stop.key for stop in stops] == [first.key, second.key]
+    assert [stop.pose for stop in stops] == [pose, ()]
+    assert stops[0].camera == {"fx_px": 600.0}
+    assert [capture.name for capture in stops[0].captures] == ["a"]
+    assert store.artifacts(WALK) == {first.key: first.artifacts, second.key: ()}
 
 
 def test_a_round_that_cannot_be_read_is_not_taken_for_a_missing_one(tmp_path: Path) -> None:

@@ -1,120 +1,138 @@
-"""The tables hold every field of the records, and the rules that the database keeps itself."""
+"""The tables: columns of `fields.csv`, rules of the database, and stores of old versions."""
 
 from __future__ import annotations
 
-import re
-from dataclasses import fields
+import gzip
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
 from sqlalchemy import insert, inspect, select, text
 
 from cucumbervision.errors import StoreError
+from cucumbervision.pipeline.fields import STORED_FIELDS
 from cucumbervision_greenhouse.store.engine import begin
-from cucumbervision_greenhouse.store.records import (
-    CaptureRecord,
-    DetectionRecord,
-    MethodRecord,
-    key_of,
-)
-from cucumbervision_greenhouse.store.repository import Store
-from cucumbervision_greenhouse.store.schema import (
-    CAPTURE_CELLS,
-    DETECTION_CELLS,
-    LENGTH_CELLS,
-    METHOD_CELLS,
-    Base,
-    DetectionLine,
-    LinkLine,
-    Mark,
-)
-from cucumbervision_greenhouse.store.views import Verdict
+from cucumbervision_greenhouse.store.links import LinkKind
+from cucumbervision_greenhouse.store.records import FruitRow, Verdict, key_of
+from cucumbervision_greenhouse.store.repository import Store, open_store
+from cucumbervision_greenhouse.store.schema import FRUIT, LINKS, METADATA, VERSION
 
 if TYPE_CHECKING:
     from tests.greenhouse.store.conftest import MakeStop
 
 WALK = key_of("walk")
+STORES = Path(__file__).with_name("stores")
+
+
+def columns_of(store: Store) -> dict[str, dict[str, bool]]:
+    found = inspect(store.engine)
+    return {
+        name: {column["name"]: column["nullable"] for column in found.get_columns(name)}
+        for name in found.get_table_names()
+        if name != "cucumbervision_version"
+    }
+
+
+def expected_columns() -> dict[str, dict[str, bool]]:
+    return {
+        name: {column.name: bool(column.nullable) for column in table.columns}
+        for name, table in METADATA.tables.items()
+    }
 
 
 def test_a_database_has_every_table_with_every_column(store: Store) -> None:
-    found = inspect(store.engine)
-    assert set(found.get_table_names()) >= set(Base.metadata.tables)
-    for name, table in Base.metadata.tables.items():
-        columns = {column["name"]: column["nullable"] for column in found.get_columns(name)}
-        assert columns == {column.name: column.nullable for column in table.columns}
+    assert columns_of(store) == expected_columns()
 
 
-@pytest.mark.parametrize(
-    ("record", "cells", "apart"),
-    [
-        (CaptureRecord, CAPTURE_CELLS, {"color", "depth", "thumbnail", "fruit"}),
-        (MethodRecord, METHOD_CELLS, {"path_m", "diameter_m"}),
-        (
-            DetectionRecord,
-            DETECTION_CELLS,
-            {"length", "raw_length", "keypoints", "mask", "methods"},
-        ),
-    ],
-)
-def test_a_field_of_a_record_is_a_column_or_stored_elsewhere(
-    record: type[Any], cells: tuple[str, ...], apart: set[str]
-) -> None:
-    names = {field.name for field in fields(record)}
-    lengths = {*LENGTH_CELLS, *(f"raw_{name}" for name in LENGTH_CELLS)}
-    assert names - apart == set(cells) - (lengths if record is DetectionRecord else set())
-    assert apart <= names
-    assert len(set(cells)) == len(cells)
+def test_a_fruits_columns_are_those_of_the_row() -> None:
+    assert {column.si_name for column in STORED_FIELDS} < set(FRUIT.c.keys())
+    assert set(FruitRow().cells) == set(FRUIT.c.keys()) - {
+        *("id", "key", "capture_id", "round_id", "deleted")
+    }
+    types = [str(FRUIT.c[name].type) for name in ("score", "mask_px", "label", "at_least")]
+    assert types == ["DOUBLE", "INTEGER", "TEXT", "BOOLEAN"]
 
 
-def test_an_optional_field_may_be_empty_and_others_not() -> None:
-    columns = DetectionLine.__table__.columns
-    nullable = {name: columns[name].nullable for name in ("score", "flags", "mask_px", "cut_x_m")}
-    assert nullable == {"score": False, "flags": False, "mask_px": True, "cut_x_m": True}
-    types = [str(columns[name].type) for name in ("score", "mask_px", "label")]
-    assert types == ["DOUBLE", "INTEGER", "TEXT"]
+def test_the_database_refuses_what_cannot_be(store: Store, make_stop: MakeStop) -> None:
+    def refused(statement: Any) -> str:
+        with pytest.raises(StoreError) as told, begin(store.engine, write=True) as connection:
+            connection.execute(statement)
+        return str(told.value)
 
-
-@pytest.fixture
-def fruit(store: Store, make_stop: MakeStop) -> list[int]:
-    """Numbers of two fruit in the database; the first is accepted."""
     store.save_stop(make_stop(1))
-    store.set_verdict([store.detections(WALK)[0].key], Verdict.ACCEPTED)
     with begin(store.engine) as connection:
-        return list(connection.execute(select(DetectionLine.id)).scalars())
+        first = connection.execute(select(FRUIT.c.id)).scalars().first()
+    link = {"kind": "same", "first_round_id": 1, "second_round_id": 1}
+    itself = insert(LINKS).values(first_id=first, second_id=first, **link)
+    assert "ck_links_two" in refused(itself)
+    assert "foreign key" in refused(text("UPDATE fruit SET round_id = 999")).lower()
 
 
-def refused(store: Store, statement: Any) -> str:
-    with pytest.raises(StoreError) as told, begin(store.engine, write=True) as connection:
-        connection.execute(statement)
-    return str(told.value)
+@pytest.fixture(params=["0.1.0", "9771f34", "64d81fbb"])
+def old(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    """A store as a version of the software left it."""
+    path = tmp_path / "house.db"
+    path.write_bytes(gzip.decompress((STORES / f"house-{request.param}.db.gz").read_bytes()))
+    return path
 
 
-def test_a_fruit_has_one_verdict_at_a_time(store: Store, fruit: list[int]) -> None:
-    second = {"slot": "verdict", "value": "rejected", "details": {}, "sha256": "", "action_id": 1}
-    told = refused(store, insert(Mark).values(fruit_id=fruit[0], **second))
-    assert re.search("uq_marks_active|marks.fruit_id, marks.slot", told)
-    # Another fruit's, and one after the first has ended, are taken.
-    with begin(store.engine, write=True) as connection:
-        connection.execute(insert(Mark).values(fruit_id=fruit[1], **second))
-        connection.execute(text("UPDATE marks SET ended_by_id = 1"))
-        connection.execute(insert(Mark).values(fruit_id=fruit[0], **second))
+def test_a_store_of_an_earlier_version_opens_with_the_tables_of_this_one(old: Path) -> None:
+    with open_store(old) as store:
+        names = {name: set(columns) for name, columns in columns_of(store).items()}
+        assert names == {name: set(columns) for name, columns in expected_columns().items()}
+        [later, earlier] = store.rounds()
+        assert [walk.stops for walk in (earlier, later)] == [2, 1]
+        for walk in (earlier, later):
+            for view in store.detections(walk.key, shapes=True):
+                assert view.m6_m == pytest.approx(0.25, abs=0.11)
+                assert len(view.path_m) == len(view.diameter_m) == 48
+                assert view.mask
+                detail = store.detection(view.key)
+                assert detail.capture.camera["fx"] > 0
+                assert {made.kind for made in detail.stop.artifacts} == {"software", "config"}
+    with open_store(old) as store, begin(store.engine) as connection:
+        version = connection.execute(text("SELECT version FROM cucumbervision_version")).scalar()
+    assert version == VERSION
 
 
-def test_a_fruit_is_not_linked_to_itself_nor_twice_to_another(
-    store: Store, fruit: list[int]
-) -> None:
-    link: dict[str, Any] = {"kind": "same", "sha256": "", "first_round_id": 1, "second_round_id": 1}
-    first, second = fruit
-    assert "ck_links_two" in refused(
-        store, insert(LinkLine).values(first_id=first, second_id=first, **link)
-    )
-    pair = insert(LinkLine).values(first_id=first, second_id=second, **link)
-    with begin(store.engine, write=True) as connection:
-        connection.execute(pair)
-    assert re.search("uq_links_active|links.first_id, links.second_id", refused(store, pair))
+def test_it_takes_new_stops_and_marks(old: Path, make_stop: MakeStop) -> None:
+    with open_store(old) as store:
+        [_, earlier] = store.rounds()
+        store.save_stop(make_stop(7, round_key=earlier.key))
+        new = store.detections(earlier.key)[0]
+        store.pick([new.key], at_s=7.0)
+        assert store.detection(new.key).view.picked_s == 7.0
+        store.undo(earlier.key)
+        assert store.detection(new.key).view.picked_s is None
 
 
-def test_a_line_of_nothing_that_is_there_is_refused(store: Store, fruit: list[int]) -> None:
-    told = refused(store, text("UPDATE fruit SET round_id = 999"))
-    assert "foreign key" in told.lower()
-    assert len(fruit) == 2
+@pytest.mark.parametrize("version", ["0.1.0", "64d81fbb"])
+def test_what_people_decided_is_as_it_was(tmp_path: Path, version: str) -> None:
+    path = tmp_path / "house.db"
+    path.write_bytes(gzip.decompress((STORES / f"house-{version}.db.gz").read_bytes()))
+    with open_store(path) as store:
+        tuesday, monday = store.rounds()
+        assert (monday.name, tuesday.name) == ("Monday morning", "Tuesday")
+        first, second, third, added, fourth, fifth = store.detections(monday.key)
+        assert (first.length_m, first.interval_low_m, first.corrected) == (0.333, 0.32, True)
+        assert store.detection(first.key).original.length_m == pytest.approx(0.2329, abs=1e-4)
+        verdicts = [view.verdict for view in (first, second, third, added)]
+        assert verdicts == [Verdict.ACCEPTED, Verdict.REJECTED, None, Verdict.ACCEPTED]
+        assert third.picked_s == 1_700_000_500.0
+        # Merged by hand; merged and parted again.
+        assert (first.group, fourth.group) == (first.key, first.key)
+        assert (second.group, fifth.group) == (second.key, fifth.key)
+        [computed, by_hand] = store.links(monday.key, LinkKind.GROWTH)
+        assert (computed.first, computed.score, computed.by_hand) == (third.key, 0.9, False)
+        later = store.detections(tuesday.key)
+        assert (by_hand.first, by_hand.second) == (first.key, later[0].key)
+        # A stop that was moved, and another that was deleted.
+        [stop] = store.stops(tuesday.key)
+        assert (stop.row, stop.position_m, stop.note) == ("4", 1.6, "by the door")
+        assert store.stop(stop.key).captures[0].gravity == (0.0, 1.0, 0.0)
+        # All of it can be taken back, the last first.
+        for _ in range(2):
+            store.undo(tuesday.key)
+        assert [stop.row for stop in store.stops(tuesday.key)] == ["3", "3"]
+        store.undo(monday.key)
+        assert store.round(monday.key).name == "Monday"  # type: ignore[union-attr]

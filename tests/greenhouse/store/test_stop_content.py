@@ -7,7 +7,7 @@ import pytest
 from cucumbervision.errors import StoreError
 from cucumbervision_greenhouse.store.records import (
     CaptureRecord,
-    DetectionRecord,
+    FruitRow,
     Saved,
     StopRecord,
     key_of,
@@ -33,7 +33,7 @@ def test_a_stop_with_nothing_in_it_comes_back_too(store: Store) -> None:
     store.save_stop(stop)
     assert store.stop(stop.key) == stop
     [view] = store.stops(WALK)
-    assert (view.row, view.captures, view.fruit, view.thumbnail) == (None, 0, 0, None)
+    assert (view.row, view.captures, view.fruit, view.thumbnail) == (None, (), 0, None)
 
 
 @pytest.mark.parametrize(
@@ -41,7 +41,7 @@ def test_a_stop_with_nothing_in_it_comes_back_too(store: Store) -> None:
     [
         ((CaptureRecord("a"), CaptureRecord("a")), "two captures are called a"),
         (
-            (CaptureRecord("a", fruit=(DetectionRecord(1), DetectionRecord(1))),),
+            (CaptureRecord("a", fruit=(FruitRow(1), FruitRow(1))),),
             "two fruit have number 1",
         ),
     ],

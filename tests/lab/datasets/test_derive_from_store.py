@@ -14,14 +14,14 @@ from cucumbervision.errors import DataSetError
 from cucumbervision.instances.mask_codes import encode_rle
 from cucumbervision_greenhouse.store.records import (
     CaptureRecord,
-    DetectionRecord,
+    FruitRow,
     Round,
     StopRecord,
+    Verdict,
     key_of,
     new_key,
 )
 from cucumbervision_greenhouse.store.repository import Store, open_store
-from cucumbervision_greenhouse.store.views import Verdict
 from cucumbervision_lab.cli.data import app
 from cucumbervision_lab.datasets.checks import check_folder
 from cucumbervision_lab.datasets.coco import read_coco
@@ -41,9 +41,9 @@ def mask_at(left: int, width: int = 8) -> np.ndarray:
     return mask
 
 
-def find(number: int, left: int) -> DetectionRecord:
+def find(number: int, left: int) -> FruitRow:
     mask = encode_rle(mask_at(left))
-    return DetectionRecord(number, box_x2_px=60.0, box_y2_px=40.0, mask=mask)
+    return FruitRow(number, box_x2_px=60.0, box_y2_px=40.0, mask=mask)
 
 
 @pytest.fixture
@@ -82,8 +82,8 @@ def test_what_people_said_of_finds_becomes_labels(store: Store, tmp_path: Path) 
     store.set_verdict([accepted], Verdict.ACCEPTED)
     store.set_verdict([rejected], Verdict.REJECTED)
     drawn = mask_at(22, width=12)
-    store.correct(corrected, DetectionRecord(2, mask=encode_rle(drawn), flags="cut-by-frame"))
-    store.add_fruit(stop, "a", DetectionRecord(1, mask=encode_rle(mask_at(50))))
+    store.correct(corrected, FruitRow(2, mask=encode_rle(drawn), flags="cut-by-frame"))
+    store.add_fruit(stop, "a", FruitRow(1, mask=encode_rle(mask_at(50))))
     made = dataset_from_store(store, tmp_path / "set", licence="CC0-1.0")
     assert list(made.judged.values()) == [ReviewCounts(1, 1, 1, 1, 0)]
     assert made.judged[made.dataset.pictures[0].split].corrections == 3
@@ -115,7 +115,7 @@ def test_what_nobody_judged_is_to_be_ignored_and_what_is_taken_back_is_forgotten
     first, *_ = save(store, 0.2)
     store.set_verdict([first], Verdict.REJECTED)
     stop = store.detection(first).stop.key
-    store.add_fruit(stop, "a", DetectionRecord(1, mask=encode_rle(mask_at(50))))
+    store.add_fruit(stop, "a", FruitRow(1, mask=encode_rle(mask_at(50))))
     store.undo(WALK)
     made = dataset_from_store(store, tmp_path / "set")
     assert [label.ignore for label in made.dataset.pictures[0].labels] == [True, True]

@@ -1,0 +1,560 @@
+"""What people decide about fruit, stops and rounds: each a mark with author and time.
+
+The marks of a fruit are read in order, and the last one of its kind counts; undo takes a mark back
+by another one. Marks of a stop or a round change its line, which every list reads, and hold the
+values before. What is deleted stays in the tables, out of all lists.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Any
+
+from sqlalchemy import and_, delete, func, insert, or_, select, update
+
+from cucumbervision.errors import StoreConflictError, StoreError
+from cucumbervision.names import checked_name, house_key, same_house
+from cucumbervision_greenhouse.store.engine import DEVICE, SIGNED_BY, Database
+from cucumbervision_greenhouse.store.links import LinkKind, LinkRecord, group_detections
+from cucumbervision_greenhouse.store.records import Verdict, checked_key, record_json
+from cucumbervision_greenhouse.store.schema import CAPTURES, FRUIT, LINKS, MARKS, ROUNDS, STOPS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from sqlalchemy import Connection, Table
+
+    from cucumbervision_greenhouse.store.records import FruitRow, StopRecord
+
+_AT_ONCE = 10_000  # SQLite takes 32,766 values in one command, PostgreSQL 65,535
+LARGEST_STEP = 2**31 - 1  # of a column of whole numbers in PostgreSQL
+
+TAKE_BACK = "take-back-stop"
+"""The kind of mark that deletes a stop because its press was taken back."""
+MOVE_ROUND = "move-round"
+"""The kind of mark that puts a round into another house."""
+STOP_EDITS = ("place-stop", "delete-stop", TAKE_BACK)
+"""Kinds of mark after which a round's views must be merged again."""
+NOT_UNDONE = ("undo", "measure-again")
+"""Kinds that cannot be undone; before 0.2 stops were measured again in place."""
+
+_VERDICTS = {"accept": Verdict.ACCEPTED, "reject": Verdict.REJECTED, "clear": None}
+_LINK_KINDS = {
+    "merge": LinkKind.SAME,
+    "unmerge": LinkKind.APART,
+    "link-growth": LinkKind.GROWTH,
+    "unlink-growth": LinkKind.APART,
+}
+_PLACE = ("row", "side", "position_m", "step", "note", "mirrored")
+
+
+def is_active(fruit: Any = FRUIT.c) -> Any:
+    """Return whether a fruit counts, for a query: it and its stop are not deleted."""
+    gone = select(CAPTURES.c.id).join(STOPS, STOPS.c.id == CAPTURES.c.stop_id)
+    return and_(~fruit.deleted, fruit.capture_id.not_in(gone.where(STOPS.c.deleted)))
+
+
+IS_ACTIVE = is_active()
+
+
+class Marks(Database):
+    """Marks on fruit, stops and rounds. Each method returns the mark's number in the log.
+
+    The author is who the store is signed by (`Database.signed`). All raise `StoreError` where a
+    fruit, stop or round is not there. Those that are told what was `seen` before raise
+    `StoreConflictError` where somebody else has changed it since.
+    """
+
+    def set_verdict(self, fruit: Sequence[str], verdict: Verdict | None) -> int:
+        """Accept or reject fruit; None removes the verdict."""
+        kind = next(kind for kind, value in _VERDICTS.items() if value is verdict)
+        return self._mark(kind, fruit)
+
+    def pick(self, fruit: Sequence[str], *, at_s: float | None = None) -> int:
+        """Record that fruit were picked at a time, by default now."""
+        return self._mark("pick", fruit, {"at_s": time.time() if at_s is None else at_s})
+
+    def unpick(self, fruit: Sequence[str]) -> int:
+        """Record that fruit were not picked."""
+        return self._mark("unpick", fruit)
+
+    def correct(self, key: str, row: FruitRow) -> int:
+        """Replace a fruit's row by one with a corrected outline; the first one is kept.
+
+        Raises
+        ------
+        StoreConflictError
+            If its number is another fruit's.
+        """
+        with self.reading() as connection:
+            number = connection.execute(
+                select(FRUIT.c.fruit).where(FRUIT.c.key == checked_key(key, "fruit"))
+            ).scalar()
+        if number is not None and number != row.fruit:
+            raise StoreConflictError(
+                "fruit {key} has another number than {number}",
+                remedy="measure the fruit that the mask belongs to",
+                key=key,
+                number=row.fruit,
+            )
+        return self._mark("correct", [key], {"row": record_json({**row.cells, **row.shape})})
+
+    def _mark(self, kind: str, keys: Sequence[str], details: dict[str, Any] | None = None) -> int:
+        with self.writing() as connection:
+            fruit = find_fruit(connection, list(dict.fromkeys(keys)))
+            return write_mark(
+                connection, kind, fruit[-1].round_id, [line.key for line in fruit], details
+            )
+
+    def merge(self, first: str, second: str) -> int:
+        """Record that two views of a round are one fruit, with all that each is merged with.
+
+        Earlier decisions that separated the two groups end.
+        """
+        with self.writing() as connection:
+            a, b = find_fruit(connection, [first, second])
+            links = links_of(connection, a.round_id)
+            keys = {a.key, b.key, *(end for link in links for end in (link.first, link.second))}
+            group = group_detections(keys, links)
+            ends = [
+                [link.first, link.second]
+                for link in links
+                if link.kind is LinkKind.APART
+                and {group[link.first], group[link.second]} == {group[a.key], group[b.key]}
+            ]
+            return _link(connection, "merge", [a, b], {"ends": ends})
+
+    def unmerge(self, key: str) -> int:
+        """Record that a view is of another fruit than all that it is merged with.
+
+        Raises
+        ------
+        StoreError
+            If it is merged with none.
+        """
+        with self.writing() as connection:
+            [fruit] = find_fruit(connection, [key])
+            links = links_of(connection, fruit.round_id)
+            keys = {fruit.key, *(end for link in links for end in (link.first, link.second))}
+            others = sorted(group_detections(keys, links)[fruit.key] - {fruit.key})
+            if not others:
+                raise StoreError(
+                    "fruit {key} is merged with none", remedy="see its group", key=fruit.key
+                )
+            return _link(connection, "unmerge", [fruit, *find_fruit(connection, others)])
+
+    def link_growth(self, earlier: str, later: str) -> int:
+        """Record that a fruit of a later round is this fruit of an earlier one."""
+        with self.writing() as connection:
+            return _link(connection, "link-growth", find_fruit(connection, [earlier, later]))
+
+    def unlink_growth(self, earlier: str, later: str) -> int:
+        """Record that two fruit of different rounds are not one."""
+        with self.writing() as connection:
+            return _link(connection, "unlink-growth", find_fruit(connection, [earlier, later]))
+
+    def place_stop(self, stop: StopRecord, seen: StopRecord | None = None) -> int:
+        """Set where a stop was taken, and its name; its fitted position is discarded.
+
+        Raises
+        ------
+        NameRefusedError
+            If its row, side or name is none.
+        """
+        check_place(stop)
+        after, before = (
+            None if place is None else {name: getattr(place, name) for name in _PLACE}
+            for place in (stop, seen)
+        )
+        with self.writing() as connection:
+            return _edit(connection, STOPS, stop.key, "place-stop", after or {}, before)
+
+    def delete_stop(self, key: str, *, taken_back: bool = False) -> int:
+        """Take a stop with all its fruit out of every list.
+
+        `taken_back` logs that its press was taken back, which is no new thing to be undone before
+        what was done earlier.
+        """
+        kind = TAKE_BACK if taken_back else "delete-stop"
+        with self.writing() as connection:
+            return _edit(connection, STOPS, key, kind, {"deleted": True})
+
+    def rename_round(self, key: str, name: str, seen: str | None = None) -> int:
+        """Rename a round.
+
+        Raises
+        ------
+        NameRefusedError
+            If that is no name.
+        """
+        name = checked_name(name, "round's name")
+        before = None if seen is None else {"name": seen}
+        with self.writing() as connection:
+            return _edit(connection, ROUNDS, key, "rename-round", {"name": name}, before)
+
+    def move_rounds(self, keys: Sequence[str], house: str, seen: str | None = None) -> int:
+        """Move rounds to a house: all of one house to rename it, or to merge it with another.
+
+        The house is the known one where the names differ by no more than case, spaces or the word
+        'house', unless only the spelling changes. Links of growth that were computed to rounds of
+        other houses are removed.
+
+        Returns
+        -------
+        int
+            How many rounds were moved; one mark each.
+
+        Raises
+        ------
+        NameRefusedError
+            If that is no name.
+        """
+        house = checked_name(house, "house")
+        before = None if seen is None else {"house": seen}
+        with self.writing() as connection:
+            # In one order: two that move the same rounds would wait for each other.
+            lock_rounds(connection, [round_id_of(connection, key) for key in keys])
+            lines = [line_of(connection, ROUNDS, key) for key in keys]
+            houses = select(ROUNDS.c.house).where(~ROUNDS.c.deleted, ROUNDS.c.key.not_in(keys))
+            house = same_house(house, connection.execute(houses.order_by(ROUNDS.c.id)).scalars())
+            moved = [line for line in lines if line.house != house]
+            for line in moved:
+                _edit(connection, ROUNDS, line.key, MOVE_ROUND, {"house": house}, before)
+            _forget_other_houses(connection, [line.id for line in moved])
+        return len(moved)
+
+    def delete_round(self, key: str) -> int:
+        """Take a round with all its stops out of the list of rounds."""
+        with self.writing() as connection:
+            return _edit(connection, ROUNDS, key, "delete-round", {"deleted": True})
+
+    def undo(self, round_key: str | None = None, *, number: int | None = None) -> int:
+        """Take back a mark: the round's newest that was not taken back, or the one named.
+
+        Raises
+        ------
+        StoreConflictError
+            If a later change depends on it.
+        StoreError
+            If there is nothing to undo.
+        """
+        query = select(MARKS).where(MARKS.c.kind.not_in(NOT_UNDONE), _not_undone())
+        with self.writing() as connection:
+            if number is not None:
+                query = query.where(MARKS.c.id == number)
+            if round_key is not None:
+                query = query.where(MARKS.c.round_id == round_id_of(connection, round_key))
+            mark = connection.execute(query.order_by(MARKS.c.id.desc()).limit(1)).one_or_none()
+            if mark is None:
+                what = "nothing to undo" if number is None else "there is no mark {number} to undo"
+                raise StoreError(what, remedy="see the log", number=number)
+            lock_rounds(connection, [mark.round_id])
+            details = {"kind": mark.kind}
+            made = write_mark(
+                connection, "undo", mark.round_id, mark.fruit, details, undoes_id=mark.id
+            )
+            if "before" in mark.details:
+                _change_line(connection, mark.details, restore=True)
+            if mark.kind == MOVE_ROUND:
+                _forget_other_houses(connection, [mark.round_id])
+        return made
+
+    def restore_round(self, key: str) -> int:
+        """Put a deleted round back into the list of rounds.
+
+        Raises
+        ------
+        StoreError
+            If it was not deleted.
+        """
+        with self.reading() as connection:
+            deleted = select(func.max(MARKS.c.id)).where(
+                MARKS.c.round_id == round_id_of(connection, key),
+                MARKS.c.kind == "delete-round",
+                _not_undone(),
+            )
+            number = connection.execute(deleted).scalar()
+        if number is None:
+            raise StoreError("round {key} is not deleted", remedy="see the list of rounds", key=key)
+        return self.undo(number=number)
+
+
+def _not_undone() -> Any:
+    undoing = MARKS.alias()
+    taken_back = select(undoing.c.undoes_id).where(undoing.c.undoes_id.is_not(None))
+    return and_(MARKS.c.id.not_in(taken_back), MARKS.c.undoes_id.is_(None))
+
+
+def check_place(stop: StopRecord) -> None:
+    """Check the row, side, name and number of a stop: every database takes them alike.
+
+    Raises
+    ------
+    NameRefusedError
+        If a name cannot be read.
+    StoreError
+        If the number is too large.
+    """
+    for what, name in {"row": stop.row, "side": stop.side, "stop's name": stop.note}.items():
+        checked_name(name or "", what)
+    if abs(stop.step or 0) > LARGEST_STEP:
+        raise StoreError(
+            "a stop has no number {number}",
+            remedy=f"at most {LARGEST_STEP} are taken",
+            number=stop.step,
+        )
+
+
+def find_fruit(connection: Connection, keys: Sequence[str]) -> list[Any]:
+    """Find fruit by their keys, in that order (key, id, round_id); lock their rounds.
+
+    Raises
+    ------
+    StoreError
+        If one is not there, or none was named.
+    """
+    keys = [checked_key(key, "fruit") for key in keys]
+    if not keys:
+        raise StoreError("no fruit was named", remedy="name at least one")
+    fruit: dict[str, Any] = {}
+    for start in range(0, len(keys), _AT_ONCE):
+        query = select(FRUIT.c.key, FRUIT.c.id, FRUIT.c.round_id).where(
+            FRUIT.c.key.in_(keys[start : start + _AT_ONCE]), IS_ACTIVE
+        )
+        fruit |= {line.key: line for line in connection.execute(query)}
+    missing = next((key for key in keys if key not in fruit), None)
+    if missing is not None:
+        raise StoreError(
+            "fruit {key} is not in the store", remedy="look it up in detections()", key=missing
+        )
+    lock_rounds(connection, {line.round_id for line in fruit.values()})
+    return [fruit[key] for key in keys]
+
+
+def lock_rounds(connection: Connection, round_ids: Iterable[int]) -> None:
+    """Lock rounds against other marks and links until the transaction ends.
+
+    Stops can still be saved. In SQLite a writing transaction is alone anyway.
+    """
+    query = select(ROUNDS.c.id).where(ROUNDS.c.id.in_(sorted(set(round_ids))))
+    connection.execute(query.order_by(ROUNDS.c.id).with_for_update(key_share=True))
+
+
+def round_id_of(connection: Connection, key: str, *, remedy: str = "see `round list`") -> int:
+    """Return a round's number in the tables, deleted or not.
+
+    Raises
+    ------
+    StoreError
+        If it is not there, with this remedy.
+    """
+    query = select(ROUNDS.c.id).where(ROUNDS.c.key == checked_key(key, "round"))
+    round_id = connection.execute(query).scalar()
+    if round_id is None:
+        raise StoreError("round {key} is not in the store", remedy=remedy, key=key)
+    return int(round_id)
+
+
+def write_mark(
+    connection: Connection,
+    kind: str,
+    round_id: int | None,
+    fruit: Sequence[str] = (),
+    details: dict[str, Any] | None = None,
+    undoes_id: int | None = None,
+) -> int:
+    """Add a mark by who the store is signed by, and return its number."""
+    signed = connection.get_execution_options()
+    device = {"device": signed[DEVICE]} if signed.get(DEVICE) else {}
+    cells = {
+        "at_s": time.time(),
+        "by": signed.get(SIGNED_BY, ""),
+        "kind": kind,
+        "fruit": list(fruit),
+        "details": {**(details or {}), **device},
+        "round_id": round_id,
+        "undoes_id": undoes_id,
+    }
+    mark = insert(MARKS).values(**cells).returning(MARKS.c.id)
+    return int(connection.execute(mark).scalar_one())
+
+
+def marks_of(connection: Connection, round_id: int) -> dict[str, dict[str, Any]]:
+    """Return what people decided about a round's fruit, by the fruit's keys.
+
+    Each 'verdict', 'picked_s' and 'row' (the corrected one), as far as there is one.
+    """
+    query = select(MARKS.c.kind, MARKS.c.fruit, MARKS.c.details)
+    query = query.where(MARKS.c.round_id == round_id, _not_undone()).order_by(MARKS.c.id)
+    marks: dict[str, dict[str, Any]] = {}
+    for kind, fruit, details in connection.execute(query):
+        decided: dict[str, Any] = {}
+        if kind in _VERDICTS or "verdict" in details:
+            decided["verdict"] = _VERDICTS[details.get("verdict", kind)]
+        elif kind in ("pick", "unpick"):
+            decided["picked_s"] = details.get("at_s")
+        elif kind == "correct":
+            decided["row"] = details["row"]
+        for key in fruit if decided else ():
+            marks.setdefault(key, {}).update(decided)
+    return marks
+
+
+def links_of(
+    connection: Connection, round_id: int, kind: LinkKind | None = None
+) -> list[LinkRecord]:
+    """Return the links that touch a round, those by hand in place of others of the same pair."""
+    first, second = FRUIT.alias(), FRUIT.alias()
+    query = (
+        select(LINKS.c.kind, first.c.key, second.c.key, LINKS.c.score)
+        .join(first, first.c.id == LINKS.c.first_id)
+        .join(second, second.c.id == LINKS.c.second_id)
+        .where(
+            or_(LINKS.c.first_round_id == round_id, LINKS.c.second_round_id == round_id),
+            is_active(first.c),
+            is_active(second.c),
+        )
+        .order_by(LINKS.c.id)
+    )
+    links = {
+        frozenset((a, b)): LinkRecord(LinkKind(name), a, b, score)
+        for name, a, b, score in connection.execute(query)
+    }
+    links |= _links_by_hand(connection, round_id)
+    return [link for link in links.values() if kind in (None, link.kind)]
+
+
+def _links_by_hand(connection: Connection, round_id: int) -> dict[frozenset[str], LinkRecord]:
+    """Return the links that people made in a round, or between it and another, by their pairs."""
+    query = select(MARKS.c.kind, MARKS.c.fruit, MARKS.c.details)
+    query = query.where(MARKS.c.kind.in_(_LINK_KINDS), _not_undone()).order_by(MARKS.c.id)
+    links: dict[frozenset[str], LinkRecord] = {}
+    for kind, (first, *others), details in connection.execute(query):
+        if round_id in details["rounds"]:
+            for pair in details.get("ends", ()):
+                links.pop(frozenset(pair), None)
+            for key in others:
+                link = LinkRecord(_LINK_KINDS[kind], first, key, by_hand=True)
+                links[frozenset((first, key))] = link
+    keys = {key for pair in links for key in pair}
+    there = set(
+        connection.execute(select(FRUIT.c.key).where(FRUIT.c.key.in_(keys), IS_ACTIVE)).scalars()
+    )
+    return {pair: link for pair, link in links.items() if pair <= there}
+
+
+def _link(
+    connection: Connection, kind: str, fruit: list[Any], details: dict[str, Any] | None = None
+) -> int:
+    """Link the first fruit with the others by hand, or part them."""
+    rounds = [line.round_id for line in fruit]
+    places = {LinkKind.SAME: 1, LinkKind.GROWTH: 2}
+    is_pair = len({line.id for line in fruit}) == len(fruit) > 1
+    if not is_pair or len(set(rounds)) != places.get(_LINK_KINDS[kind], len(set(rounds))):
+        keys = " and ".join(line.key for line in fruit)
+        raise StoreError(
+            "{keys} are not two fruit that can be linked so",
+            remedy="merge two of one round, link growth between two rounds",
+            keys=keys,
+        )
+    details = {**(details or {}), "rounds": sorted(set(rounds))}
+    return write_mark(connection, kind, rounds[-1], [line.key for line in fruit], details)
+
+
+def forget_links(connection: Connection, kind: LinkKind, rounds: tuple[int, int]) -> None:
+    """Remove the links that an algorithm made between two rounds, or within one."""
+    connection.execute(
+        delete(LINKS).where(
+            LINKS.c.kind == str(kind),
+            LINKS.c.first_round_id == rounds[0],
+            LINKS.c.second_round_id == rounds[1],
+        )
+    )
+
+
+def _forget_other_houses(connection: Connection, round_ids: Sequence[int]) -> None:
+    """Remove the links of growth that an algorithm made from rounds to those of other houses."""
+    house_of = {
+        number: house_key(house)
+        for number, house in connection.execute(select(ROUNDS.c.id, ROUNDS.c.house))
+    }
+    ends = LINKS.c.first_round_id, LINKS.c.second_round_id
+    touching = or_(*(end.in_(round_ids) for end in ends))
+    linked = select(*ends).where(LINKS.c.kind == str(LinkKind.GROWTH), touching).distinct()
+    for first, second in connection.execute(linked).all():
+        if house_of[first] != house_of[second]:
+            forget_links(connection, LinkKind.GROWTH, (first, second))
+
+
+def line_of(connection: Connection, table: Table, key: str) -> Any:
+    """Return all cells of a stop or round that was not deleted, and keep others from changing it.
+
+    Raises
+    ------
+    StoreError
+        If it is not there.
+    """
+    what = "stop" if table is STOPS else "round"
+    query = select(table).where(table.c.key == checked_key(key, what))
+    line = connection.execute(query.with_for_update(key_share=True)).one_or_none()
+    if line is None or line.deleted:
+        raise StoreError(
+            f"{what} {{key}} is not in the store", remedy=f"see the list of {what}s", key=key
+        )
+    return line
+
+
+def _edit(
+    connection: Connection,
+    table: Table,
+    key: str,
+    kind: str,
+    after: dict[str, Any],
+    seen: dict[str, Any] | None = None,
+) -> int:
+    line = line_of(connection, table, key)
+    before = {name: getattr(line, name) for name in after}
+    if seen is not None and before != seen:
+        raise StoreConflictError(
+            "somebody else has changed it meanwhile", remedy="look at it as it is now"
+        )
+    details = {"table": table.name, "key": line.key, "before": before, "after": after}
+    number = write_mark(
+        connection, kind, line.id if table is ROUNDS else line.round_id, details=details
+    )
+    _change_line(connection, details)
+    return number
+
+
+def _change_line(connection: Connection, details: dict[str, Any], *, restore: bool = False) -> None:
+    """Write a mark's `details` into its line, or with `restore` the values before it.
+
+    Raises
+    ------
+    StoreConflictError
+        If the line was changed since.
+    """
+    table = {"stops": STOPS, "rounds": ROUNDS, "fruit": FRUIT}[details["table"]]
+    old, new = details["before"], details["after"]
+    if restore:
+        old, new = new, old
+    unchanged = [table.c[name].is_not_distinct_from(value) for name, value in old.items()]
+    # The fitted position of a stop that is moved is no longer valid: the next merge finds it again.
+    fitted = {"fitted_m": None, "fitted_sd_m": None} if "position_m" in new else {}
+    line = update(table).where(table.c.key == details["key"], *unchanged)
+    if connection.execute(line.values(**new, **fitted)).rowcount != 1:
+        raise StoreConflictError("it was changed again since", remedy="undo the later change first")
+
+
+def original_names(connection: Connection, round_key: str) -> dict[str, str]:
+    """Return the name and house that a round had at first, of those that were changed."""
+    changes = (
+        select(MARKS.c.details)
+        .join(ROUNDS, ROUNDS.c.id == MARKS.c.round_id)
+        .where(ROUNDS.c.key == round_key, MARKS.c.kind.in_(("rename-round", MOVE_ROUND)))
+        .order_by(MARKS.c.id.desc())
+    )
+    names: dict[str, str] = {}
+    for details in connection.execute(changes).scalars():
+        names |= details["before"]
+    return names

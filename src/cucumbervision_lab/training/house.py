@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING
 
 from cucumbervision.errors import TrainingError
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
-from cucumbervision.perception.own_networks import JUDGEMENT
-from cucumbervision.perception.registry import file_sha256, load_registry
+from cucumbervision.perception.registry import JUDGEMENT, file_sha256, load_registry
 from cucumbervision_lab.datasets.coco import ANNOTATIONS, read_coco
 from cucumbervision_lab.detection.outcomes import Score, detection_rows, fruit_rows, overall
 from cucumbervision_lab.detection.photos import audited_photos, evaluate_photos

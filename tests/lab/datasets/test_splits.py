@@ -65,19 +65,6 @@ def test_shares_are_kept_in_every_source() -> None:
                 assert part == pytest.approx(share, abs=0.06)
 
 
-def test_a_large_scene_comes_to_train() -> None:
-    parted = split_by_scene(made([1, 40] + [1] * 20))
-    assert {p.split for p in parted.pictures if p.scene == "s1"} == {"train"}
-    assert parted.in_split("test")
-
-
-def test_the_seed_orders_scenes_of_one_size() -> None:
-    by_seed = [
-        tuple(p.split for p in split_by_scene(made([2] * 30), seed=s).pictures) for s in (0, 1)
-    ]
-    assert by_seed[0] != by_seed[1]
-
-
 def test_pseudo_labels_never_come_to_test() -> None:
     dataset = made([1] * 40)
     pictures = [

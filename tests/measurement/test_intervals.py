@@ -32,7 +32,7 @@ from cucumbervision.measurement.result import (
     MethodName,
 )
 from cucumbervision.measurement.selector import measure_fruit
-from cucumbervision_lab.benchmark.interval_fit import RAW_FEATURES, TUBE_FEATURES
+from cucumbervision_lab.benchmark.run import RAW_FEATURES, TUBE_FEATURES
 from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
 from cucumbervision_lab.synthesis.scene import Scene, render
 from cucumbervision_lab.training.end_look import LOOK_FEATURES

@@ -21,7 +21,7 @@ from cucumbervision.measurement.intervals import (
     shipped_interval_models,
 )
 from cucumbervision.perception.looks import ERROR_SCALE, STATES, EndLooker, looked_at
-from cucumbervision_lab.benchmark.interval_fit import (
+from cucumbervision_lab.benchmark.run import (
     TUBE_FEATURES,
     fit_interval_model,
     write_interval_models,

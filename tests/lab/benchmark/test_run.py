@@ -19,13 +19,18 @@ from cucumbervision_lab.benchmark.cases import (
     simulate,
     stress_cases,
 )
-from cucumbervision_lab.benchmark.interval_fit import TUBE_FEATURES
-from cucumbervision_lab.benchmark.length_tables import comparable_readings
-from cucumbervision_lab.benchmark.measure_case import CaseOptions, measure_case
-from cucumbervision_lab.benchmark.records import LengthRecord, Masks, readings_frame
+from cucumbervision_lab.benchmark.measure_case import (
+    CaseOptions,
+    LengthRecord,
+    Masks,
+    measure_case,
+    readings_frame,
+)
+from cucumbervision_lab.benchmark.report import comparable_readings
 from cucumbervision_lab.benchmark.run import (
     KEYS,
     TRUTH_OF,
+    TUBE_FEATURES,
     BenchmarkOptions,
     fit_interval_models,
     plan_cases,

@@ -15,7 +15,7 @@ from cucumbervision_lab.datasets.checks import check_dataset
 from cucumbervision_lab.datasets.labels import SPLITS, DataSet, Label, LabelledPicture
 from cucumbervision_lab.datasets.splits import find_scenes, scenes_by_name, split_by_scene
 from cucumbervision_lab.datasets.yolo import read_yolo
-from cucumbervision_lab.detection.photo_audit import audited
+from cucumbervision_lab.detection.photos import audited
 
 MakeSet = Callable[..., DataSet]
 CLASSES = ("cucumber", "zucchini", "banana", "eggplant", "carrot")

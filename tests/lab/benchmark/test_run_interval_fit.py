@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from sklearn.ensemble import GradientBoostingRegressor
 
 from cucumbervision.measurement.intervals import Band, IntervalModel, Trees
-from cucumbervision_lab.benchmark.interval_fit import (
+from cucumbervision_lab.benchmark.run import (
     conformal_quantile,
     fit_interval_model,
     fitted_trees,

@@ -203,8 +203,7 @@ def list_folder(path: Path) -> Folder:
     # Links may lead to visited folders or form a cycle.
     visited = {os.path.realpath(path), *map(str, Path(os.path.realpath(path)).parents)}
     for place, folders, files in os.walk(path, onerror=note, followlinks=True):
-        is_result = "measurements.json" in files and _RECORDS & {*folders}
-        if place != str(path) and is_result:
+        if place != str(path) and "measurements.json" in files and _RECORDS & {*folders}:
             folders.clear()
             continue
         subfolder = Path(place).relative_to(path)

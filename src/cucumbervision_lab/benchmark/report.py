@@ -283,7 +283,7 @@ _MASK_WORDS = {
     Masks.DISTURBED: "outlines disturbed by 1.5 px",
     Masks.PERCEIVED: "outlines found by a network",
 }
-_TRUTHS = (LengthDefinition.CENTRELINE, LengthDefinition.THREAD)
+_GROUPED_TRUTHS = (LengthDefinition.CENTRELINE, LengthDefinition.THREAD)
 _GROUPED_CAPTURES = 10  # minimum number of captures for groups
 
 _GLANCE = (
@@ -313,7 +313,7 @@ def benchmark_tables(readings: pd.DataFrame) -> list[ReportTable]:
     for suite, masks, part in _parts(readings):
         part_tables = [accuracy_table(part, truth) for truth in truths_of(part)]
         if part["case"].nunique() >= _GROUPED_CAPTURES:
-            for truth in _TRUTHS[:1] if suite is Suite.STRESS else _TRUTHS:
+            for truth in _GROUPED_TRUTHS[:1] if suite is Suite.STRESS else _GROUPED_TRUTHS:
                 part_tables += group_tables(comparable_readings(part, truth), truth)
         where = f"{_SUITES[suite]}, {_MASK_WORDS[masks]}"
         tables += [replace(table, title=f"{where}: {table.title}") for table in part_tables]
@@ -330,7 +330,7 @@ def glance_table(readings: pd.DataFrame) -> ReportTable:
     """
     rows: list[tuple[Cell, ...]] = []
     for suite, masks, part in _parts(readings):
-        scored = {truth: comparable_readings(part, truth) for truth in _TRUTHS}
+        scored = {truth: comparable_readings(part, truth) for truth in _GROUPED_TRUTHS}
         mape = {
             (truth, str(method)): float(percent.mean())
             for truth, frame in scored.items()

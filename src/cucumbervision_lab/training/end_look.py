@@ -284,7 +284,6 @@ SMALLEST_GROUP = 100
 LEAST_FRUIT = 60
 """Fruit without which no intervals are learnt."""
 
-_AT_ONCE = 256  # crops
 _KEYS = ("M6", "M6 thread", "M6 chord")
 
 

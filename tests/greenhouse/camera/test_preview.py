@@ -15,7 +15,7 @@ from tests.greenhouse.camera.test_page import press, sent, wait_for_jobs
 
 
 def test_a_picture_is_sent_once_and_the_next_after_a_press(asked: TestClient) -> None:
-    def ask(shown: object = "") -> Any:
+    def ask(shown: int | str = "") -> Any:
         return asked.get("/api/preview", params={"source": "replay", "shown": shown})
 
     while (header := read(ask().content)[0])["state"] != "replay":

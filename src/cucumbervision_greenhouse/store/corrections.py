@@ -510,7 +510,8 @@ def line_of(connection: Connection, table: Any, key: str) -> Any:
     query = select(*table.__table__.columns).where(table.key == checked_key(key, what))
     line = connection.execute(query.with_for_update(key_share=True)).one_or_none()
     if line is None or line.deleted:
-        raise StoreError(f"{what} {key} is not in the store", remedy=f"see the list of {what}s")
+        fault = what + " {key} is not in the store"  # a template of the catalogue
+        raise StoreError(fault, remedy=f"see the list of {what}s", key=key)
     return line
 
 

@@ -365,8 +365,7 @@ def _stop_query(round_id: int) -> Any:
         )
         .outerjoin(Row, Row.id == StopLine.row_id)
         .outerjoin(
-            _FIRST_CAPTURE,
-            and_(_FIRST_CAPTURE.stop_id == StopLine.id, _FIRST_CAPTURE.number == 0),
+            _FIRST_CAPTURE, and_(_FIRST_CAPTURE.stop_id == StopLine.id, _FIRST_CAPTURE.number == 0)
         )
         .outerjoin(Image, Image.sha256 == _FIRST_CAPTURE.thumbnail_sha256)
         .where(StopLine.round_id == round_id, ~StopLine.deleted)

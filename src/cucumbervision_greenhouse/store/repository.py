@@ -52,11 +52,7 @@ from cucumbervision_greenhouse.store.schema import (
     RoundLine,
     StopLine,
 )
-from cucumbervision_greenhouse.store.stop_content import (
-    add_content,
-    add_detections,
-    checked_stop,
-)
+from cucumbervision_greenhouse.store.stop_content import add_content, add_detections, checked_stop
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence

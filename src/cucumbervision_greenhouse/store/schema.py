@@ -346,9 +346,7 @@ LENGTH_CELLS = (
 RAW_LENGTH_CELLS = tuple(f"raw_{name}" for name in LENGTH_CELLS)
 DETECTION_CELLS = (
     *_lay_out(
-        DetectionLine,
-        DetectionRecord,
-        ("length", "raw_length", "keypoints", "mask", "methods"),
+        DetectionLine, DetectionRecord, ("length", "raw_length", "keypoints", "mask", "methods")
     ),
     *LENGTH_CELLS,
     *RAW_LENGTH_CELLS,

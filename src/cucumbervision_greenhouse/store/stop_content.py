@@ -98,9 +98,7 @@ def checked_stop(stop: StopRecord) -> StopRecord:
         round_key=checked_key(stop.round_key, "round"),
         captures=tuple(
             replace(
-                capture,
-                source=_storable(capture.source),
-                provenance=_storable(capture.provenance),
+                capture, source=_storable(capture.source), provenance=_storable(capture.provenance)
             )
             for capture in stop.captures
         ),
@@ -209,12 +207,7 @@ def add_detections(
     if not records:
         return
     lines = [
-        {
-            **detection_cells(record),
-            "key": key,
-            "capture_id": capture_id,
-            "round_id": round_id,
-        }
+        {**detection_cells(record), "key": key, "capture_id": capture_id, "round_id": round_id}
         for key, record in zip(keys, records, strict=True)
     ]
     add = insert(DetectionLine).returning(DetectionLine.id, sort_by_parameter_order=True)
@@ -308,9 +301,7 @@ def _captures_of(connection: Connection, stop_id: int) -> tuple[CaptureRecord, .
 
 
 def _capture_of(
-    cells: dict[str, Any],
-    pictures: Sequence[ImageRef | None],
-    fruit: tuple[DetectionRecord, ...],
+    cells: dict[str, Any], pictures: Sequence[ImageRef | None], fruit: tuple[DetectionRecord, ...]
 ) -> CaptureRecord:
     color, depth, thumbnail = pictures
     lists = {name: cells[name] and tuple(cells[name]) for name in ("gravity", "doubts")}

@@ -24,7 +24,7 @@ Mask = NDArray[np.bool_]
 
 def doubts(capture: Capture, mask: Mask | None = None) -> tuple[Flag, ...]:
     outline = capture.masks[0] if mask is None else mask
-    return depth_doubts(capture.depth_m, outline, capture.intrinsics.fx_px)
+    return depth_doubts(capture.depth_m, outline, capture.intrinsics.fx_px, capture.color)
 
 
 @pytest.mark.parametrize("tilt_deg", [0, 30, 60])

@@ -9,14 +9,13 @@ import pytest
 from tests.capsules import CAMERA, Capsule, capsule_capture, lying, with_depth
 
 from cucumbervision.capture.frames import Capture
-from cucumbervision.instances.masks import distances_inside
-from cucumbervision.measurement.depth_doubts import fits_better_elsewhere
+from cucumbervision.measurement.depth_doubts import depth_doubts
+from cucumbervision.measurement.flags import Flag
 
 
 def is_elsewhere(capture: Capture) -> bool:
-    mask = capture.masks[0]
-    radius_px = float(distances_inside(mask).max())
-    return fits_better_elsewhere(capture.depth_m, mask, radius_px, capture.intrinsics.fx_px)
+    doubts = depth_doubts(capture.depth_m, capture.masks[0], capture.intrinsics.fx_px)
+    return Flag.DEPTH_UNALIGNED in doubts
 
 
 @pytest.mark.parametrize("moved_px", [(0, 16), (0, -24), (14, 14)])

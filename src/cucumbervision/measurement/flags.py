@@ -45,6 +45,8 @@ class Flag(StrEnum):
     DEPTH_UNALIGNED = "depth-unaligned"
     DEPTH_COARSE = "depth-coarse"
     DEPTH_ALONG_RAY = "depth-along-ray"
+    OUTLINE_SHORT = "outline-short"
+    OUTLINE_STEM = "outline-stem"
     PRINCIPAL_POINT = "principal-point"
     DEPTH_RESAMPLED = "depth-resampled"
     PLUGIN_FAILED = "plugin-failed"
@@ -238,6 +240,23 @@ FLAGS: Mapping[Flag, FlagMeaning] = {
         data_fault="what is behind them is a plane only if depth is the distance along each "
         "pixel's ray",
         remedy="read such depth with --depth-along ray",
+    ),
+    Flag.OUTLINE_SHORT: FlagMeaning(
+        "the fruit's surface goes on beyond its outline, at an end or all round: the length is a "
+        "lower bound without an interval",
+        remark="its outline ends too early",
+        effect=Effect.LOWER_BOUND,
+        shows_less=True,
+        data_fault="their surface goes on beyond their outline",
+        remedy="check that outlines are not cut at tiles, and reach the fruit's edge",
+    ),
+    Flag.OUTLINE_STEM: FlagMeaning(
+        "an end of its outline is a third as wide as the fruit or less, as where it takes in the "
+        "stem: the length has no interval, and is no lower bound",
+        remark="its outline takes in the stem",
+        effect=Effect.NO_DEPTH,
+        data_fault="an end of their outline is as narrow as a stem",
+        remedy="draw outlines from the stem's attachment to the blossom's end",
     ),
     Flag.PRINCIPAL_POINT: FlagMeaning(
         "the intrinsics' principal point is off the middle of the picture: wrong size, or cut "

@@ -331,7 +331,7 @@ def mask_features(
         "perceived": float(not is_labelled),
         "certainty": 0.0 if is_labelled else -float(np.log(max(1.0 - confidence, _LEAST_DOUBT))),
         "own_mask": float(source is MaskSource.DETECTOR),
-        "cut": float(Flag.CUT_BY_FRAME in flags),
+        "cut": float(not {Flag.CUT_BY_FRAME, Flag.OUTLINE_SHORT}.isdisjoint(flags)),
         "no_depth": float(not NO_DEPTH.isdisjoint(flags)),
         "goes_on": float(goes_on),
         # The end keypoints of a fruit that continues out of sight are guesses.

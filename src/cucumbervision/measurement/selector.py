@@ -375,7 +375,8 @@ def _flags(
         flags.extend(chosen.fit.flags)
     flags.extend(flag for flag in end_flags(mask, instance.keypoints) if flag not in flags)
     if mask is not None:
-        flags.extend(depth_doubts(capture.depth_m, mask, capture.intrinsics.fx_px))
+        focal_px = capture.intrinsics.fx_px
+        flags.extend(depth_doubts(capture.depth_m, mask, focal_px, capture.color))
     by_gravity = capture.gravity is not None and chosen is not None and chosen.path_m is not None
     sure = stem_confidence if by_gravity else instance.end_confidence
     if sure is not None and sure < LEAST_END_CONFIDENCE:

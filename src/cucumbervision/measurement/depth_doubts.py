@@ -121,7 +121,7 @@ def depth_doubts(
         or _lies_behind(body)
         or _fits_better_elsewhere(depth_m, body),
         Flag.DEPTH_COARSE: not is_too_near
-        and (has_coarse_steps(depth_m, readings) or (not is_sparse and _is_one_value(readings))),
+        and has_coarse_steps(depth_m, readings, may_be_one=not is_sparse),
     }
     # Wrong depth says nothing of an outline.
     doubts[Flag.OUTLINE_STEM] = not any(doubts.values()) and _has_stem(body)
@@ -162,38 +162,19 @@ class _Body:
         focal_px: float,
     ) -> _Body:
         x1, y1, x2, y2 = box_of_mask(mask)
-        part = mask_window(mask, int(min(x2 - x1, y2 - y1)) + 7)
-        if part is None:
-            raise ValueError("the mask is empty")
+        part = mask_window(mask, int(min(x2 - x1, y2 - y1)) + 7) or (slice(None), slice(None))
         about_px = np.count_nonzero(mask[part]) / (2 * np.hypot(x2 - x1, y2 - y1))
         step = max(1, int(about_px / _BODY_PX))
         depth_m, mask = depth_m[part][::step, ::step], mask[part][::step, ::step]
         # The outline is nearer than the first pixel beyond it that is left.
         nearer_px = np.float32(0.5 - 0.5 / step)
-        inside_px, outside_px = (
-            np.maximum(
-                distances_inside(np.pad(side, 1, constant_values=is_all))[1:-1, 1:-1] - nearer_px, 0
-            )
-            for side, is_all in ((mask, False), (~mask, True))
-        )
-        radius_px = float(inside_px.max())
-        pixels = mask_pixels(mask)
-        centre, axis = principal_axis(pixels)
-        return cls(
-            depth_m,
-            mask,
-            valid_depth(depth_m),
-            inside_px,
-            outside_px,
-            pixels,
-            centre,
-            axis,
-            radius_px,
-            radius_px * step * distance_m / focal_px,
-            distance_m,
-            part,
-            step,
-        )
+        inside_px = distances_inside(np.pad(mask, 1))[1:-1, 1:-1] - nearer_px
+        outside_px = distances_inside(~mask) - nearer_px
+        radius_px, pixels = float(inside_px.max()), mask_pixels(mask)
+        radius_m = radius_px * step * distance_m / focal_px
+        arrays = depth_m, mask, valid_depth(depth_m), inside_px, outside_px, pixels
+        sizes = radius_px, radius_m, distance_m, part, step
+        return cls(*(*arrays, *principal_axis(pixels), *sizes))
 
     @cached_property
     def line(self) -> tuple[float, float] | None:
@@ -212,8 +193,7 @@ class _Body:
         if len(v) < MIN_READINGS:
             return None
         v, u = (rows[:: max(1, len(v) // _PLANE_READINGS)] for rows in (v, u))
-        places = (u - self.centre[0]) * self.axis[0] + (v - self.centre[1]) * self.axis[1]
-        readings_m = depth_m[v, u]
+        places, readings_m = self.along[v, u], depth_m[v, u]
         section = _sections(places, _SECTIONS)
         lines = [
             (places[section == k].mean(), np.percentile(readings_m[section == k], _NEAREST_PERCENT))
@@ -228,11 +208,16 @@ class _Body:
         slope = float(np.median((near_m[j] - near_m[i]) / (t[j] - t[i])))
         return float(np.median(near_m - slope * t)), slope
 
-    def along(self, where: NDArray[np.bool_] | None = None) -> NDArray[np.float64]:
-        """Return the place of pixels along the axis, from the centre; by default of the window."""
+    @cached_property
+    def along(self) -> NDArray[np.float64]:
+        """The place of each pixel of the window along the axis, from the centre."""
         v, u = np.ogrid[: self.mask.shape[0], : self.mask.shape[1]]
-        places = (u - self.centre[0]) * self.axis[0] + (v - self.centre[1]) * self.axis[1]
-        return np.asarray(places if where is None else places[where])
+        return np.asarray((u - self.centre[0]) * self.axis[0] + (v - self.centre[1]) * self.axis[1])
+
+    def off_m(self, depth_m: NDArray[Any], along: NDArray[Any]) -> NDArray[np.float64]:
+        """Return how far readings lie behind the line of what is nearest; NaN without a line."""
+        start_m, slope = self.line or (np.nan, 0.0)
+        return np.asarray(depth_m - start_m - slope * along)
 
 
 def _is_hollow(body: _Body) -> bool:
@@ -394,7 +379,7 @@ def _lies_behind(body: _Body) -> bool:
     side_px = 2 * round(body.radius_px) + 1
     near_m = np.asarray(cv2.erode(surface_m, np.ones((side_px, side_px), np.uint8)))
     behind = (body.depth_m > near_m + _BEHIND_RADII * body.radius_m)[read]
-    section = _sections(body.along(read), _BEHIND_SECTIONS)
+    section = _sections(body.along[read], _BEHIND_SECTIONS)
     counts, counts_behind = np.bincount(section), np.bincount(section, behind)
     return float(np.quantile(counts_behind / np.maximum(counts, 1), 0.25)) >= _BEHIND_SHARE
 
@@ -407,23 +392,19 @@ def _sections(places: NDArray[np.float64], count: int) -> NDArray[np.intp]:
 
 def _has_stem(body: _Body) -> bool:
     """Return whether an end of a mask is much narrower than the fruit, before what is behind."""
-    line, centre = body.line, body.centre
-    along = (body.pixels - centre) @ body.axis
+    along = body.along[body.mask]
     rows = np.rint(along - along.min()).astype(np.intp)
     wide = np.flatnonzero(np.bincount(rows) >= _STEM_WIDTH * 2.0 * body.radius_px)
-    if line is None or not len(wide):
-        return False
-    for narrow in (rows < wide[0], rows > wide[-1]):
-        if not narrow.any() or np.ptp(along[narrow]) < _STEM_RADII * body.radius_px:
-            continue
-        # A leaf that hides most of the width is nearer than the fruit.
-        beside = (body.outside_px > 1.5) & (body.outside_px < body.radius_px) & body.read
-        places = body.along(beside)
-        first, last = np.quantile(along[narrow], [0.1, 0.9])
-        clear_m = body.depth_m[beside] - line[0] - line[1] * places
-        clear_m = clear_m[(places > first) & (places < last)]
-        if len(clear_m) >= MIN_READINGS and (clear_m > body.radius_m).mean() >= _NEARER_SHARE:
-            return True
+    # A leaf that hides most of the width is nearer than the fruit.
+    beside = (body.outside_px > 1.0) & (body.outside_px < body.radius_px) & body.read
+    places = body.along[beside]
+    clear = body.off_m(body.depth_m[beside], places) > body.radius_m
+    for narrow in (along[rows < wide[0]], along[rows > wide[-1]]) if len(wide) else ():
+        if len(narrow) and np.ptp(narrow) >= _STEM_RADII * body.radius_px:
+            first, last = np.quantile(narrow, [0.1, 0.9])
+            clear_there = clear[(places > first) & (places < last)]
+            if len(clear_there) >= MIN_READINGS and clear_there.mean() >= _NEARER_SHARE:
+                return True
     return False
 
 
@@ -431,23 +412,16 @@ def _goes_on_around(depth_m: NDArray[np.float32], mask: NDArray[np.bool_], body:
     """Return whether the fruit's surface goes on all round a mask that was drawn too narrow."""
     import cv2
 
-    window, line = mask_window(mask, _RING_PX[1]), body.line
-    if window is None or line is None:
-        return False
+    window = mask_window(mask, _RING_PX[1]) or body.part
     within, wider = (
-        cv2.dilate(
-            mask[window].view(np.uint8),
-            cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side_px, side_px)),
-        )
-        for side_px in _RING_PX
+        cv2.dilate(mask[window].view(np.uint8), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, size))
+        for size in ((side_px, side_px) for side_px in _RING_PX)
     )
-    v, u = np.nonzero(wider > within)
-    readings_m = depth_m[window][v, u]
+    v, u = np.nonzero((wider > within) & valid_depth(depth_m[window]))
     corner = [window[1].start - body.part[1].start, window[0].start - body.part[0].start]
     along = ((np.stack([u, v], axis=1) + corner) / body.step - body.centre) @ body.axis
-    near = np.abs(readings_m - line[0] - line[1] * along) < body.radius_m
-    read = valid_depth(readings_m)
-    return np.count_nonzero(read) >= MIN_READINGS and float(near[read].mean()) >= _RING_SHARE
+    same = np.abs(body.off_m(depth_m[window][v, u], along)) < body.radius_m
+    return bool(len(v) >= MIN_READINGS and same.mean() >= _RING_SHARE)
 
 
 def _goes_on(body: _Body, end: int, color: NDArray[np.uint8] | None) -> bool:
@@ -471,20 +445,18 @@ def _goes_on(body: _Body, end: int, color: NDArray[np.uint8] | None) -> bool:
     if np.count_nonzero(read) < MIN_READINGS:
         return False
     slope, start_m = np.polyfit(forward[core][read], body.depth_m[v, u][read], 1)
-    first, last = _BEYOND_RADII
-    steps, sides = np.meshgrid(np.linspace(first, last, 5), np.linspace(-0.5, 0.5, 5))
-    steps = (edge + steps * radius).ravel()
-    places = middle + steps[:, None] * ahead + sides.reshape(-1, 1) * radius * aside
+    beyond, across = np.linspace(*_BEYOND_RADII, 5), np.linspace(-0.5, 0.5, 5)
+    steps, sides = (grid.ravel() * radius for grid in np.meshgrid(beyond, across))
+    steps += edge
+    places = middle + np.outer(steps, ahead) + np.outer(sides, aside)
     x, y = np.rint(places).astype(np.intp).T
     height, width = body.mask.shape
     inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
     x, y = np.clip(x, 0, width - 1), np.clip(y, 0, height - 1)
     off_m = np.abs(body.depth_m[y, x] - start_m - slope * steps)
     same = inside & body.read[y, x] & ~body.mask[y, x] & (off_m < _SURFACE_RADII * body.radius_m)
-    if same.mean() < _BEYOND_SHARE:
-        return False
-    if color is None:
-        return True
+    if same.mean() < _BEYOND_SHARE or color is None:
+        return bool(same.mean() >= _BEYOND_SHARE)
     part = color[body.part][:: body.step, :: body.step]
     gap = np.median(part[y, x][same], axis=0) - np.median(part[v, u], axis=0)
     return float(np.abs(gap).max()) < _SAME_COLOR
@@ -502,7 +474,7 @@ _ALIGNED_AS_WIDER, _BETTER_AS_WIDER, _BEST_SCORE = 1.2, 0.8, 2.0
 
 def _fits_better_elsewhere(depth_m: NDArray[np.float32], body: _Body) -> bool:
     """Return whether a mask fits its depth much better moved, or enlarged from a wider camera."""
-    layers = _layers(body.depth_m, body.read, body.line, body)
+    layers = _layers(body.depth_m, body)
     if layers is None:
         return False
     score = float(_scores(layers, 0)[0, 0])
@@ -514,9 +486,7 @@ def _fits_better_elsewhere(depth_m: NDArray[np.float32], body: _Body) -> bool:
     limit = max(_ALIGNED_AS_WIDER, score + _BETTER_AS_WIDER)
     if limit > _BEST_SCORE:
         return False
-    wider_m = _as_wider(depth_m, body)
-    read = valid_depth(wider_m)
-    layers = _layers(wider_m, read, body.near_line(wider_m, read), body)
+    layers = _layers(_as_wider(depth_m, body), body)
     return layers is not None and _is_best(_scores(layers, _SHIFTS), limit)
 
 
@@ -546,24 +516,19 @@ def _as_wider(depth_m: NDArray[np.float32], body: _Body) -> NDArray[np.float32]:
     return np.asarray(cv2.warpAffine(depth_m, turn, size, flags=nearest), np.float32)
 
 
-def _layers(
-    depth_m: NDArray[np.float32],
-    read: NDArray[np.bool_],
-    line: tuple[float, float] | None,
-    body: _Body,
-) -> tuple[NDArray[np.float32], ...] | None:
+def _layers(depth_m: NDArray[np.float32], body: _Body) -> NDArray[np.float32] | None:
     """Return what is near (1) and far (-1), what is read, the mask and a ring around it, shrunk.
 
-    Near is what lies before 1.3 apparent radii behind what is nearest along the fruit, `line`,
+    Near is what lies before 1.3 apparent radii behind what is nearest along the fruit,
     because the distance at the mask may be that of another object. None without a line.
     """
     import cv2
 
+    read = valid_depth(depth_m)
+    line = body.line if depth_m is body.depth_m else body.near_line(depth_m, read)
     if line is None:
         return None
-    limit_m = (line[0] + line[1] * body.along()) * (
-        1 + _NEAR_RADII * body.radius_m / body.distance_m
-    )
+    limit_m = (line[0] + line[1] * body.along) * (1 + _NEAR_RADII * body.radius_m / body.distance_m)
     behind = np.where(depth_m < limit_m, np.float32(1), np.float32(-1)) * read
     # Six pixels per radius are enough to find the best position.
     scale = min(1.0, _RADIUS_PX / body.radius_px)
@@ -573,10 +538,11 @@ def _layers(
         for part in (behind, read, body.mask)
     )
     outer, inner = (np.asarray(cv2.dilate(shape, np.ones((n, n)))) for n in (7, 3))
-    return values, is_read, shape, np.clip(outer - inner, 0.0, 1.0)
+    ring = np.clip(outer - inner, np.float32(0), np.float32(1))
+    return np.stack([values, is_read, shape, ring]).astype(np.float32)
 
 
-def _scores(layers: tuple[NDArray[np.float32], ...], shifts: int) -> NDArray[np.float32]:
+def _scores(layers: NDArray[np.float32], shifts: int) -> NDArray[np.float32]:
     """Return how well a mask fits depth at each shift up to so many pixels.
 
     The score is the mean inside the mask minus the mean around it, where near readings count +1 and
@@ -605,7 +571,9 @@ _NEAR_M, _PICTURE_STRIDE = 2.0, 4  # where the steps of a picture are looked at
 _EIGHT_BITS_M, _MILLIMETRE_M = 0.2555, 0.00099
 
 
-def has_coarse_steps(depth_m: NDArray[np.float32], readings_m: NDArray[np.float32]) -> bool:
+def has_coarse_steps(
+    depth_m: NDArray[np.float32], readings_m: NDArray[np.float32], *, may_be_one: bool = True
+) -> bool:
     """Return whether depth has too few values for a round body, as after 8 bits.
 
     Parameters
@@ -614,6 +582,8 @@ def has_coarse_steps(depth_m: NDArray[np.float32], readings_m: NDArray[np.float3
         Metres; 0 for no reading.
     readings_m : ndarray of float32, shape (N,)
         Those of the fruit, at least one.
+    may_be_one : bool
+        Whether one value of most of them counts, where the picture holds several.
 
     Examples
     --------
@@ -624,26 +594,22 @@ def has_coarse_steps(depth_m: NDArray[np.float32], readings_m: NDArray[np.float3
     >>> has_coarse_steps(whole_centimetres, whole_centimetres.ravel())
     True
     """
-    return _is_coarse(depth_m, readings_m) or _has_eight_bits(depth_m, readings_m)
+    picture_m = depth_m[::_PICTURE_STRIDE, ::_PICTURE_STRIDE]
+    picture_m = picture_m[(picture_m > 0) & (picture_m < _NEAR_M)]
+    counts = np.unique(readings_m, return_counts=True)[1]
+    if may_be_one and counts.max() >= _ONE_VALUE_SHARE * counts.sum():
+        return len(np.unique(picture_m)) > 1
+    return _is_coarse(picture_m, readings_m) or _has_eight_bits(depth_m, readings_m)
 
 
-def _is_one_value(readings_m: NDArray[np.float32]) -> bool:
-    """Return whether most of a fruit has the same distance, as the median of a box."""
-    spacing = max(1, readings_m.size // _LEVEL_SAMPLES)
-    counts = np.unique(readings_m[::spacing], return_counts=True)[1]
-    return bool(counts.max() >= _ONE_VALUE_SHARE * counts.sum())
-
-
-def _is_coarse(depth_m: NDArray[np.float32], readings_m: NDArray[np.float32]) -> bool:
+def _is_coarse(picture_m: NDArray[np.float32], readings_m: NDArray[np.float32]) -> bool:
     """Return whether a fruit's readings are too few values for a round body.
 
     Where steps are as thick as the fruit, those of the picture tell.
     """
     levels_m, least = _levels(readings_m), _FRUIT_LEVELS
     if 0 < len(levels_m) < least:
-        picture_m = depth_m[::_PICTURE_STRIDE, ::_PICTURE_STRIDE]
-        levels_m = _levels(picture_m[(picture_m > 0) & (picture_m < _NEAR_M)])
-        least = _PICTURE_LEVELS
+        levels_m, least = _levels(picture_m), _PICTURE_LEVELS
     if len(levels_m) < least:
         return False
     return float(np.median(np.diff(levels_m) / levels_m[1:])) > _COARSE_STEP

@@ -353,9 +353,8 @@ def has_no_interval(features: Mapping[str, float]) -> bool:
 WIDEST = 4.0  # an interval from half to twice a length is useless
 
 SCALE_SD = 0.01  # of an uncalibrated D4xx: the data sheet allows 2 % at 2 m
-REAL_SD = (
-    0.010  # additional error of real fruit over simulated ones: `benchmarks/real_cucumbers.py`
-)
+# Additional error of real fruit over simulated ones: `benchmarks/real_cucumbers.py`
+REAL_SD = 0.010
 
 _SHIPPED = Path(__file__).with_name("interval_models.json")
 

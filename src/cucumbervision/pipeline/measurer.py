@@ -13,11 +13,10 @@ from cucumbervision.calibration.calibration_file import calibrated_capture, cali
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.errors import CaptureError, DiskFullError, InternalError, named_error
-from cucumbervision.measurement.end_looks import with_end_looks
 from cucumbervision.measurement.flags import Flag
 from cucumbervision.measurement.pose import FIRST_LINE
 from cucumbervision.measurement.result import Choice, Fruit, MethodName, Reason
-from cucumbervision.measurement.selector import measure_fruit
+from cucumbervision.measurement.selector import measure_fruit, with_end_looks
 from cucumbervision.measurement.traits import with_traits
 from cucumbervision.perception.registry import load_registry
 from cucumbervision.pipeline.fields import FIELDS, fruit_row

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from cucumbervision.instances.crops import EndLook
-    from cucumbervision.measurement.end_looks import LookAtEnds
+    from cucumbervision.measurement.selector import LookAtEnds
     from cucumbervision_lab.training.end_crops import EndCrops
     from cucumbervision_lab.training.measured_ends import MeasuredFruit
 

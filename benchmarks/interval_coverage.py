@@ -22,8 +22,7 @@ from rich.table import Table
 
 from cucumbervision.measurement.intervals import WIDEST, shipped_interval_models
 from cucumbervision_lab.benchmark.cases import stress_cases
-from cucumbervision_lab.benchmark.measure_case import CaseOptions
-from cucumbervision_lab.benchmark.records import Masks, readings_frame
+from cucumbervision_lab.benchmark.measure_case import CaseOptions, Masks, readings_frame
 from cucumbervision_lab.benchmark.run import TRUTH_OF, run_cases, with_intervals
 from cucumbervision_lab.cli.screen import part_bars
 from cucumbervision_lab.detection.run import set_records

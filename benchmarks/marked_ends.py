@@ -28,7 +28,7 @@ from cucumbervision.capture.pictures import read_color
 from cucumbervision.geometry.curve import arc_positions, points_along
 from cucumbervision.instances.crops import EndCrop, end_crop
 from cucumbervision.instances.masks import distances_inside
-from cucumbervision.measurement.end_looks import DOUBTFUL
+from cucumbervision.measurement.selector import DOUBTFUL
 from cucumbervision.perception.keypoint_axis import axis_line
 from cucumbervision.perception.looks import EndLooker
 from cucumbervision.perception.registry import load_registry

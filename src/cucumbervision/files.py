@@ -19,8 +19,6 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
-import numpy as np
-
 from cucumbervision.errors import (
     CaptureError,
     CucumberVisionError,
@@ -297,10 +295,11 @@ def json_value(value: Any) -> Any:
 
     Examples
     --------
+    >>> import numpy as np
     >>> json_value({"length_m": np.float32(0.25), "box": np.array([1.0, np.nan])})
     {'length_m': 0.25, 'box': [1.0, None]}
     """
-    if isinstance(value, np.generic | np.ndarray):
+    if hasattr(value, "tolist"):  # of NumPy, which is not imported for the help of commands
         value = value.tolist()
     if isinstance(value, float):
         return value if math.isfinite(value) else None

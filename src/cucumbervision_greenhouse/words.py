@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.agronomy import classes
-from cucumbervision.agronomy.classes import UNDECIDED, class_name
+from cucumbervision.agronomy.grades import UNDECIDED, class_name
 from cucumbervision.measurement.flags import FLAGS
 from cucumbervision_greenhouse.core_words import words_of
 from cucumbervision_greenhouse.language import (

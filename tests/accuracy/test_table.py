@@ -1,9 +1,7 @@
 from __future__ import annotations
 
-import json
 import math
 
-import numpy as np
 import pytest
 
 from cucumbervision.accuracy.table import ReportColumn, ReportTable
@@ -32,17 +30,7 @@ def test_a_cell_as_text(cell: float | str | None, text: str) -> None:
     assert ReportColumn("a").show(cell) == text
 
 
-def test_numpy_numbers_become_json() -> None:
-    table = ReportTable.of("t", ["a", "b"], [[np.int64(3), np.float32(0.5)]])
-    assert json.loads(json.dumps(table.as_json()))["rows"] == [{"a": 3, "b": 0.5}]
-
-
 def test_json_keeps_every_digit_and_text_does_not() -> None:
     table = ReportTable.of("t", ["a:.1"], [[1 / 3]])
     assert table.as_json()["rows"][0]["a"] == 1 / 3
     assert table.text_rows() == [["0.3"]]
-
-
-def test_only_numbers_and_gaps_make_a_numeric_column() -> None:
-    table = ReportTable.of("t", ["a", "b", "c"], [[1, "x", None], [None, 2.0, 3.0]])
-    assert table.numeric == [True, False, True]

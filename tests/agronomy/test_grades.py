@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cucumbervision.agronomy.classes import UNDECIDED
 from cucumbervision.agronomy.grades import (
+    UNDECIDED,
     GradeStatus,
     GradingTraits,
     grade,

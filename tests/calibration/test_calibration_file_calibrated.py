@@ -134,14 +134,6 @@ def test_an_interval_from_elsewhere_does_not_outlive_a_correction() -> None:
     assert own.basis is IntervalBasis.OWN_TRUTH
 
 
-def test_hardly_any_depth_has_no_interval_after_a_correction_either() -> None:
-    before = fruit().flagged(Flag.DEPTH_SPARSE)
-    done = calibrated_fruit(before, site(entry())).length
-    assert done is not None
-    assert done.value_m == pytest.approx(0.23)
-    assert done.low_m is None
-
-
 @pytest.mark.parametrize(
     "flag", [Flag.END_HIDDEN, Flag.CUT_BY_FRAME, Flag.LOWER_END, Flag.DEPTH_UNALIGNED]
 )
@@ -172,16 +164,6 @@ def test_an_own_interval_takes_the_place_of_one_that_was_too_wide() -> None:
     assert done.flags == (Flag.ENDS_UNSURE,)
 
 
-def test_no_correction_but_an_interval() -> None:
-    done = calibrated_fruit(fruit(), site(entry(Form.NONE))).length
-    assert done is not None
-    assert (done.value_m, done.low_m, done.high_m) == pytest.approx((0.20, 0.19, 0.21))
-    assert done.kind is LengthDefinition.CENTRELINE
-    bare = calibrated_fruit(fruit(), site(entry(Form.NONE, half=None)))
-    assert bare.length == Length(0.20, LengthKind.SURFACE_CHORD)
-    assert bare.calibration
-
-
 @pytest.mark.parametrize(
     ("kind", "method"), [("thread", "M6 thread"), ("chord", "M6 chord"), ("centreline", "M6")]
 )
@@ -191,13 +173,6 @@ def test_a_tubes_lengths_have_corrections_of_their_own(kind: str, method: str) -
     done = calibrated_fruit(fruit(method=MethodName.M6, kind=definition), chosen, definition)
     assert done.length is not None
     assert done.length.value_m == pytest.approx(0.22)
-
-
-def test_a_fruit_that_was_not_measured_stays_so() -> None:
-    nothing = replace(fruit(), selected=None, length=None)
-    assert calibrated_fruit(nothing, site(entry())) is nothing
-    scaled = site(scale=1.02)
-    assert calibrated_fruit(nothing, scaled).calibration == scaled.tag
 
 
 def test_depth_is_divided_by_the_scale() -> None:

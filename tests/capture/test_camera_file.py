@@ -151,18 +151,6 @@ def test_what_is_no_json(text: str, words: str, tmp_path: Path) -> None:
         read_camera_file(write(tmp_path, text))
 
 
-def test_missing_file(tmp_path: Path) -> None:
-    with pytest.raises(CaptureError, match=r"none\.json: the file is missing"):
-        read_camera_file(tmp_path / "none.json")
-
-
-def test_what_is_no_text(tmp_path: Path) -> None:
-    path = tmp_path / "k.json"
-    path.write_bytes(b"\x80\x81\x82\x83\x84")
-    with pytest.raises(CaptureError, match=r"k\.json: is not JSON text"):
-        read_camera_file(path)
-
-
 NUMBERS = st.one_of(
     st.floats(), st.integers(), st.integers(-(10**400), 10**400), st.floats(0, 2000, width=32)
 )

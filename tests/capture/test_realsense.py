@@ -271,26 +271,6 @@ def test_a_live_stream_that_dries_up(recording: Path) -> None:
         _ = [stream.read() for _ in range(30)]
 
 
-def test_playback_of_a_missing_file(tmp_path: Path) -> None:
-    with pytest.raises(CaptureError, match=r"none\.db3: is not a recording"):
-        RealSenseCamera(CameraConfig(playback=tmp_path / "none.db3")).__enter__()
-
-
-def test_warm_up_longer_than_the_recording(recording: Path) -> None:
-    with pytest.raises(CameraError, match="over"):
-        RealSenseCamera(CameraConfig(playback=recording, warm_up=99)).__enter__()
-    # It was let go again.
-    assert next(iter(open_source(recording))).frame == 1
-
-
-@pytest.mark.parametrize(
-    "wrong", [{"burst": 0}, {"warm_up": -1}, {"fps": 0}, {"width": 0}, {"timeout_s": 0.0}]
-)
-def test_senseless_configuration(wrong: dict[str, Any]) -> None:
-    with pytest.raises(ValueError, match="positive"):
-        CameraConfig(**wrong)
-
-
 def test_package_or_library_missing(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     path = tmp_path / "a.bag"
     path.write_bytes(b"x")

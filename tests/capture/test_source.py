@@ -46,13 +46,6 @@ def test_each_file_is_taken_once() -> None:
     assert folder.kinds() == "no file"
 
 
-def test_what_is_left_is_described_by_its_five_most_frequent_types() -> None:
-    names = [f"{k}.{kind}" for kind in ("a", "b", "c", "D", "e", "f") for k in range(2)]
-    text = named(*names, "x.f", "README").kinds()
-    assert text == "3 .f, 2 .a, 2 .b, 2 .c, 2 .d"
-    assert named("README", "b/LICENCE").kinds() == "2 other"
-
-
 def test_captures_of_one_name_stay_apart_and_load_under_theirs() -> None:
     loaded: list[str] = []
 

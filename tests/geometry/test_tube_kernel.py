@@ -21,7 +21,11 @@ from cucumbervision.geometry.tube_evidence import (
     BODY,
     SHAPE,
     Evidence,
+    Gaps,
+    depth_gaps,
     ends_seen,
+    gaps,
+    gaps_of,
     normal_equations,
     point_readings,
     ray_readings,
@@ -34,7 +38,6 @@ from cucumbervision.geometry.tube_fit import (
     solve_held,
     stepped,
 )
-from cucumbervision.geometry.tube_gaps import Gaps, depth_gaps, gaps, gaps_of
 from cucumbervision.geometry.tube_guess import guess_shape
 from cucumbervision.geometry.tube_kernel import Contacts, Fit, call
 

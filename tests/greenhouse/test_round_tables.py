@@ -16,7 +16,7 @@ pytest.importorskip("streamlit")
 from streamlit.testing.v1 import AppTest
 from tests.greenhouse.pages.app_pages import tables
 
-from cucumbervision.agronomy.classes import class_name
+from cucumbervision.agronomy.grades import class_name
 from cucumbervision.agronomy.profiles import load_profile
 from cucumbervision.measurement.result import Length
 from cucumbervision_greenhouse.agronomy.picking import (

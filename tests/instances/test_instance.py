@@ -3,7 +3,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-import cv2
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -153,14 +152,6 @@ def test_boxes_without_masks_are_one_only_where_they_agree() -> None:
     assert merge_instances([]) == ()
 
 
-def test_masks_keep_the_pictures_size() -> None:
-    whole = bar(100, 80, 120, 20, 30)
-    (instance,) = merge_instances([found(whole, 0.9), found(cv2.dilate(
-        whole.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool), 0.8)])  # fmt: skip
-    assert instance.detector_mask is not None
-    assert instance.detector_mask.shape == (HEIGHT, WIDTH)
-
-
 def fruit_at(x: float, keypoint: float | None = None, width: float = 10) -> Instance:
     points = None if keypoint is None else np.full((5, 3), keypoint)
     return Instance(np.array([x, 0, x + width, 40]), keypoints=points)
@@ -171,14 +162,6 @@ def test_keypoints_go_to_the_best_one_to_one() -> None:
     fruits = [fruit_at(0), fruit_at(2)]
     out = with_keypoints(fruits, [fruit_at(1.5, 7), fruit_at(0.5, 9)])
     assert [o.keypoints[0, 0] for o in out if o.keypoints is not None] == [9, 7]
-
-
-def test_how_sure_their_order_is_goes_with_the_keypoints() -> None:
-    box = np.array([0.0, 0, 40, 10])
-    points = np.column_stack([np.linspace(2, 38, 5), np.full(5, 5.0), np.ones(5)])
-    posed = Instance(box, keypoints=points, end_confidence=0.7)
-    (fruit,) = with_keypoints([Instance(box)], [posed])
-    assert fruit.end_confidence == posed.end_confidence
 
 
 def test_keypoints_below_the_overlap_are_not_given() -> None:
@@ -216,10 +199,3 @@ def test_a_mask_that_loses_much_gets_a_new_box() -> None:
     assert (first.detector_mask == upper).all()
     assert (second.detector_mask == (both & ~upper)).all()
     assert second.box.tolist() == box_of_mask(both & ~upper).tolist()
-
-
-def test_what_shares_nothing_is_left_as_it_is() -> None:
-    a, b = found(bar(120, 40, 140, 20), 0.9), found(bar(120, 90, 140, 20), 0.8)
-    assert with_disjoint_masks([a, b]) == (a, b)
-    box = Instance(np.array([0.0, 0, 9, 9]))
-    assert with_disjoint_masks([box]) == (box,)

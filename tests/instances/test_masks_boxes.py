@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from cucumbervision.instances.masks import (
-    box_areas,
     box_iou,
     box_ious,
     share_inside,
@@ -17,20 +16,6 @@ def test_overlap_of_boxes() -> None:
     # Half of each shared: 50 of 150; touching boxes share nothing.
     assert box_ious(boxes[:1], boxes)[0] == pytest.approx([1.0, 1 / 3, 0.0])
     assert box_iou(boxes[0], boxes[1]) == pytest.approx(1 / 3)
-
-
-def test_boxes_without_area_share_nothing() -> None:
-    point, inverted = np.array([[5.0, 5, 5, 5]]), np.array([[9.0, 9, 1, 1]])
-    assert box_areas(inverted).tolist() == [0]
-    assert box_ious(point, point).tolist() == box_ious(inverted, inverted).tolist() == [[0]]
-
-
-def test_no_boxes() -> None:
-    none = np.zeros((0, 4))
-    assert box_ious(none, np.ones((3, 4))).shape == (0, 3)
-    assert share_inside(none, none).shape == (0,)
-    assert share_inside(np.array([[0.0, 0, 1, 1]]), none).tolist() == [0]
-    assert suppress(none, np.zeros(0), np.zeros(0, int), 0.7).shape == (0,)
 
 
 def test_the_best_region_counts() -> None:

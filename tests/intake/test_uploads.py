@@ -151,37 +151,6 @@ def test_a_bop_scene_is_read_with_its_masks(tmp_path: Path, depth_png: bytes) ->
         broken.load()
 
 
-def test_viewer_snapshots_take_the_intrinsics_beside_them(tmp_path: Path, depth_png: bytes) -> None:
-    camera = {"stream": "color", "width": 64, "height": 48, "fx": 60, "fy": 60, "cx": 31, "cy": 23}
-    camera["depth_to_color"] = {"rotation": [1, 0, 0, 0, 1, 0, 0, 0, 1], "translation_m": [0, 0, 0]}
-    table = "Resolution x,64\nResolution y,48\nFx,60\nFy,60\nPPx,31\nPPy,23\nFormat,Z16\n"
-    members = {
-        "snap_Depth.raw": np.full((48, 64), 450, "<u2").tobytes(),
-        "snap_Depth_metadata.csv": table.encode(),
-        "snap_Color.png": cv2.imencode(".png", np.zeros((48, 64, 3), np.uint8))[1].tobytes(),
-        "snap_Depth.png": cv2.imencode(".png", np.zeros((48, 64, 3), np.uint8))[1].tobytes(),
-        "camera.json": json.dumps(camera).encode(),
-    }
-    got = send(tmp_path, viewer__zip=zip_of(*members.items()))
-    assert not got.refused
-    (ref,) = got.sources[0].open()
-    assert ref.load().name == "snap"
-    assert ref.load().depth_m[24, 32] == pytest.approx(0.45)
-
-
-def test_a_capture_that_misses_a_picture_fails_and_the_other_is_read(
-    tmp_path: Path, native_zip: bytes
-) -> None:
-    with zipfile.ZipFile(io.BytesIO(native_zip)) as archive:
-        members = {n: archive.read(n) for n in archive.namelist() if "1/depth_000000" not in n}
-    got = send(tmp_path, walk__zip=zip_of(*members.items()))
-    broken, whole = got.sources[0].open()
-    assert whole.load().name == "stop_2"
-    missing = r"^walk\.zip: row 3/1/depth_000000\.png: the file is missing"
-    with pytest.raises(CaptureError, match=missing):
-        broken.load()
-
-
 def test_errors_on_reading_name_what_was_sent(
     tmp_path: Path, color_jpg: bytes, depth_png: bytes, intrinsics_json: bytes
 ) -> None:
@@ -214,15 +183,6 @@ def test_names_are_shown_clean(tmp_path: Path) -> None:
 def test_a_zip_without_captures_says_what_it_holds(tmp_path: Path) -> None:
     got = send(tmp_path, a__zip=zip_of(("a.txt", b"x"), ("b.txt", b"y"), ("c", b"z")))
     assert "recognised, but 2 .txt, 1 other; pack capture folders" in faults(got)["a.zip"]
-
-
-def test_intrinsics_in_a_folder_above_are_found(
-    tmp_path: Path, color_jpg: bytes, depth_png: bytes, intrinsics_json: bytes
-) -> None:
-    members = {"camera.json": intrinsics_json}
-    members |= {"row/day/rgb_1.jpg": color_jpg, "row/day/depth_1.png": depth_png}
-    (ref,) = send(tmp_path, a__zip=zip_of(*members.items())).sources[0].open()
-    assert ref.load().source == "a.zip: row/day/rgb_1.jpg"
 
 
 def test_paths_are_taken_too_and_folders_refused(tmp_path: Path, native_zip: bytes) -> None:

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from tests.capsules import Capsule, capsule_capture, lying, with_depth
+from tests.capsules import CAMERA, Capsule, capsule_capture, lying, with_depth
 
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.readers import ReadOptions, open_source
@@ -24,7 +24,7 @@ Mask = NDArray[np.bool_]
 
 def doubts(capture: Capture, mask: Mask | None = None) -> tuple[Flag, ...]:
     outline = capture.masks[0] if mask is None else mask
-    return depth_doubts(capture.depth_m, outline, capture.intrinsics.fx_px)
+    return depth_doubts(capture.depth_m, outline, capture.intrinsics.fx_px, capture.color)
 
 
 @pytest.mark.parametrize("tilt_deg", [0, 30, 60])
@@ -201,3 +201,67 @@ def test_fruit_on_the_plant_are_not_doubted() -> None:
     sparse = [item for item in results.fruit if Flag.DEPTH_SPARSE in item.flags]
     assert len(sparse) <= 2
     assert all((item.fill or 0.0) < 0.25 for item in sparse)
+
+
+def test_an_outline_that_jumps_ends_early_or_is_loose_is_told() -> None:
+    capture = capsule_capture(lying(0.16, distance_m=0.5))
+    mask = capture.masks[0]
+    rows, columns, kernel = *np.nonzero(mask), np.ones((13, 13), np.uint8)
+    wide, narrow = (change(mask.astype(np.uint8), kernel) > 0 for change in (cv2.dilate, cv2.erode))
+    cut, stray, stem = mask.copy(), mask.copy(), mask.copy()
+    cut[:, columns.min() + np.ptp(columns) * 6 // 10 :] = False
+    middle = int(rows.mean())
+    stray[middle - 8 : middle + 8, columns.max() + 80 : columns.max() + 100] = True
+    stem[middle - 3 : middle + 4, columns.max() : columns.max() + 40] = True
+    assert doubts(capture) == ()
+    assert doubts(capture, wide) == (Flag.DEPTH_UNALIGNED,)
+    assert doubts(capture, narrow) == (Flag.OUTLINE_SHORT,)
+    assert doubts(capture, cut) == (Flag.OUTLINE_SHORT,)
+    for outline, flag in ((stray, Flag.DEPTH_GAP), (stem, Flag.OUTLINE_STEM)):
+        more = with_depth(capture, np.where(outline & ~mask, 0.48, capture.depth_m))
+        assert doubts(more, outline) == (flag,)
+    single = with_depth(capture, np.where(mask, 0.49, capture.depth_m))
+    assert doubts(single) == (Flag.DEPTH_COARSE,)
+    assert is_lower_bound([Flag.OUTLINE_SHORT])
+    assert not is_lower_bound([Flag.END_HIDDEN, Flag.OUTLINE_STEM])
+
+
+def is_elsewhere(capture: Capture) -> bool:
+    doubts = depth_doubts(capture.depth_m, capture.masks[0], capture.intrinsics.fx_px)
+    return Flag.DEPTH_UNALIGNED in doubts
+
+
+@pytest.mark.parametrize("moved_px", [(0, 16), (0, -24), (14, 14)])
+def test_depth_that_lies_beside_its_outline_is_unaligned(moved_px: tuple[int, int]) -> None:
+    capture = capsule_capture(lying(0.16, distance_m=0.5))
+    shifted = with_depth(capture, np.roll(capture.depth_m, moved_px, axis=(1, 0)))
+    assert is_elsewhere(shifted)
+    slightly = with_depth(capture, np.roll(capture.depth_m, (2, 2), axis=(1, 0)))
+    assert not is_elsewhere(slightly)
+
+
+@pytest.mark.parametrize("rise_m", [0.0, 0.08, 0.16])
+def test_moved_depth_is_told_where_the_camera_looks_at_a_bench_at_an_angle(rise_m: float) -> None:
+    # A fruit of 0.1 m between its ends' centres, and the bench it lies on: z = 0.518 + slope * x.
+    lying_on = Capsule((-0.05, 0.0, 0.5 - rise_m / 2), (0.05, 0.0, 0.5 + rise_m / 2), 0.018)
+    capture = capsule_capture(lying_on)
+    x = (np.arange(CAMERA.width) - CAMERA.cx_px) / CAMERA.fx_px
+    bench_m = np.broadcast_to(0.518 / (1 - rise_m / 0.1 * x), capture.depth_m.shape)
+    capture = with_depth(
+        capture, np.where(capture.masks[0], np.minimum(capture.depth_m, bench_m), bench_m)
+    )
+    assert not is_elsewhere(capture)
+    for moved_px in (18, -18):
+        moved = with_depth(capture, np.roll(capture.depth_m, moved_px, axis=0))
+        assert is_elsewhere(moved)
+
+
+def test_depth_of_a_wider_camera_of_the_same_size_is_unaligned() -> None:
+    # As a D435 writes depth that nobody aligned: 0.69 of colour's focal length.
+    wider = replace(CAMERA, fx_px=0.69 * 462, fy_px=0.69 * 462)
+    for across_m, down_m in ((0.03, 0.05), (0.03, 0.06), (0.0, 0.0)):
+        fruit = lying(0.16, across_m=across_m, down_m=down_m)
+        capture = capsule_capture(fruit)
+        unaligned = with_depth(capture, capsule_capture(fruit, camera=wider).depth_m)
+        assert not is_elsewhere(capture)
+        assert is_elsewhere(unaligned)

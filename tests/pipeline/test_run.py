@@ -301,7 +301,7 @@ def test_a_picture_that_cannot_be_written_costs_no_row(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("unit_m", "note"),
-    [(0.01, "is one step of depth really 1 mm? --depth-unit 0.0001 or 0.0002"), (0.001, None)],
+    [(0.01, "is one step of depth really 1 mm? --depth-unit 0.0001, 0.0002"), (0.001, None)],
 )
 def test_a_batch_whose_lengths_are_all_impossible_says_what_would_explain_it(
     tmp_path: Path, unit_m: float, note: str | None

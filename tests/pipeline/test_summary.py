@@ -31,7 +31,7 @@ DOUBTED = row(37.0, flags="depth-unit")
         ([SHORT], "no fruit has a possible size (median 4 cm): is one step of depth really 1 mm? "
          "--depth-unit 0.01 would explain it"),
         ([THICK, THICK, DOUBTED], "2 of 3 fruit are too large (median 74 cm): is one step of depth "
-         "really 1 mm? --depth-unit 0.0001 or 0.0002 or 0.00025 would explain it"),
+         "really 1 mm? --depth-unit 0.0001, 0.0002 or 0.00025 would explain it"),
     ],
 )  # fmt: skip
 def test_a_unit_is_suggested_where_half_of_the_fruit_are_too_large(

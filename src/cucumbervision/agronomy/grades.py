@@ -1,4 +1,8 @@
-"""The grade of one fruit, and the rules behind it."""
+"""The class of a fruit from the interval of its length, its grade, and the rules behind it.
+
+A fruit is in a class if its whole interval is, and undecided if the interval spans several. Of a
+fruit that continues out of sight only a lower bound is known; it is never too short.
+"""
 
 from __future__ import annotations
 
@@ -9,16 +13,6 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from cucumbervision.agronomy.classes import (
-    NO_CLASS,
-    NOT_MEASURED,
-    UNDECIDED,
-    WITHOUT_CLASS,
-    choice_words,
-    class_name,
-    class_of,
-    possible_classes,
-)
 from cucumbervision.errors import Message, joined, with_reason
 from cucumbervision.measurement.flags import is_length_unknown, is_lower_bound
 from cucumbervision.measurement.result import (
@@ -30,11 +24,95 @@ from cucumbervision.measurement.result import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping, Sequence
 
     from numpy.typing import ArrayLike, NDArray
 
     from cucumbervision.agronomy.profiles import CropProfile
+
+
+UNDECIDED = "undecided"
+"""What a fruit is called whose interval spans several classes."""
+
+NO_CLASS = "no class"
+"""What a fruit is called whose shape, weight or girth no class allows."""
+
+NOT_MEASURED = "not measured"
+"""What a fruit without a length is called."""
+
+WITHOUT_CLASS = ("too short", "too long", NO_CLASS, UNDECIDED, NOT_MEASURED)
+"""All names that are no class of a crop."""
+
+_SAME_M = 1e-8  # lengths nearer than that are equal: 0.1 + 0.15 m is 25 cm
+
+
+def possible_classes(
+    low_m: float, high_m: float, edges_m: NDArray[np.float64], names: Sequence[str]
+) -> tuple[str, ...]:
+    """Return the classes that an interval of the length spans, without repeats, shortest first.
+
+    Parameters
+    ----------
+    low_m, high_m : float
+        Ends of the interval, metres; the upper end of a lower bound is infinite.
+    edges_m : ndarray of float64, shape (B - 1,)
+        Limits between the classes, ascending; a class includes its lower limit.
+    names : sequence of str, length B
+        Class of each bin between the limits, including the two outer bins.
+
+    Examples
+    --------
+    >>> edges, names = np.array([0.20, 0.25, 0.35]), ("too short", "II", "I", "too long")
+    >>> possible_classes(0.26, 0.28, edges, names)
+    ('I',)
+    >>> possible_classes(0.24, 0.26, edges, names)
+    ('II', 'I')
+    >>> possible_classes(0.13, float("inf"), edges, names)
+    ('too short', 'II', 'I', 'too long')
+    """
+    first = int(np.searchsorted(edges_m, low_m + _SAME_M, side="right"))
+    last = int(np.searchsorted(edges_m, max(high_m, low_m) - _SAME_M, side="right"))
+    return tuple(dict.fromkeys(names[first : max(first, last) + 1]))
+
+
+def class_of(possible: Sequence[str]) -> str:
+    """Return the only possible class, or 'undecided'.
+
+    Examples
+    --------
+    >>> class_of(("I",)), class_of(("II", "I"))
+    ('I', 'undecided')
+    """
+    return possible[0] if len(possible) == 1 else UNDECIDED
+
+
+def class_name(name: str) -> str:
+    """Return the name of a class for people.
+
+    Examples
+    --------
+    >>> class_name("I"), class_name("too long")
+    ('class I', 'too long')
+    """
+    return Message(name) if name in WITHOUT_CLASS else Message("class {name}", name=name)
+
+
+def choice_words(names: Iterable[str]) -> str:
+    """Return several classes for people.
+
+    Examples
+    --------
+    >>> choice_words(("II", "I")), choice_words(("I", "too long"))
+    ('class II or I', 'class I or too long')
+    >>> choice_words(("too short", "II", "I", "too long"))
+    'too short, class II, I or too long'
+    """
+    words: list[str] = []
+    for name in names:
+        # 'class' once before a run of classes.
+        follows = bool(words) and words[-1] not in WITHOUT_CLASS
+        words.append(name if follows and name not in WITHOUT_CLASS else class_name(name))
+    return joined(words, "{first} or {second}")
 
 
 def share_below(length: Length, limit_m: ArrayLike) -> NDArray[np.float64]:
@@ -320,40 +398,33 @@ def grade(fruit: _Gradable, profile: CropProfile) -> Grade:
     )
 
 
+def _unknown(
+    verdict: GradeStatus, profile: CropProfile, mass_g: float | None, **fields: Any
+) -> Grade:
+    fields = {"name": UNDECIDED, "rules": (), "possible": profile.outcomes, **fields}
+    return Grade(verdict, probabilities={}, mass_g=mass_g, **fields)
+
+
 def _without_length(fruit: _Gradable, profile: CropProfile, mass_g: float | None) -> Grade:
+    fields: dict[str, Any] = {"reason": f"no {profile.length} length"}
+    if fruit.length is None:
+        fields = {"name": NOT_MEASURED}
     no_length = f"{profile.length} length: no tube could be fitted, or it was not measured"
-    return Grade(
-        verdict=GradeStatus.MISSING,
-        name=NOT_MEASURED if fruit.length is None else UNDECIDED,
-        rules=(),
-        probabilities={},
-        missing=(no_length,),
-        mass_g=mass_g,
-        possible=profile.outcomes,
-        reason="" if fruit.length is None else f"no {profile.length} length",
-    )
+    return _unknown(GradeStatus.MISSING, profile, mass_g, missing=(no_length,), **fields)
 
 
 def _refused(length_cm: float, profile: CropProfile, mass_g: float | None) -> Grade:
-    limits = profile.acceptance
     rule = Message(
         "refused: {kind} length {length:.1f} cm cannot be, {crop} is accepted from {low:g} to "
         "{high:g} cm; measure again",
         kind=Message(profile.length),
         length=length_cm,
         crop=Message(profile.title),
-        low=limits.min_cm,
-        high=limits.max_cm,
+        low=profile.acceptance.min_cm,
+        high=profile.acceptance.max_cm,
     )
-    return Grade(
-        verdict=GradeStatus.REFUSED,
-        name=UNDECIDED,
-        rules=(rule,),
-        probabilities={},
-        mass_g=mass_g,
-        possible=profile.outcomes,
-        reason="such a length cannot be",
-    )
+    reason = "such a length cannot be"
+    return _unknown(GradeStatus.REFUSED, profile, mass_g, rules=(rule,), reason=reason)
 
 
 def _checks(
@@ -436,15 +507,6 @@ def _reason(
     if by_length == (name,):
         return "by length"
     return joined(check.reason for check in checks if check.forbidden and check.reason)
-
-
-def best_class(fruit: _Gradable, profile: CropProfile) -> str:
-    """Return the best class that a fruit's shape allows, as in `Grade.best_class`."""
-    length = _length(fruit, profile.length)
-    limits = profile.acceptance
-    if length is None or not limits.min_cm <= round(100 * length.value_m, 6) <= limits.max_cm:
-        return ""
-    return _best_of(_shape(fruit.inner_arc_mm_per_10cm, profile), profile)
 
 
 def _best_of(shape: _Check, profile: CropProfile) -> str:

@@ -14,7 +14,7 @@ from typing import Annotated
 import typer
 
 from cucumbervision._version import __version__
-from cucumbervision.cli import crop, live, measure, models, own_truth, servers
+from cucumbervision.cli import crop, live, measure, models, own_truth
 from cucumbervision.cli.choices import EXIT_CODES
 from cucumbervision.errors import InternalError, named_error
 from cucumbervision.plugins import installed
@@ -35,8 +35,8 @@ app.command("stream", epilog=EXIT_CODES)(live.stream)
 app.command("record", epilog=EXIT_CODES)(live.record)
 app.command("cameras")(live.cameras)
 app.command("demo", epilog=EXIT_CODES)(measure.demo)
-app.command("serve")(servers.serve)
-app.command("schema")(servers.schema)
+app.command("serve")(live.serve)
+app.command("schema")(live.schema)
 app.command("calibrate")(own_truth.calibrate)
 _GROUPS = {"crop": crop.app, "evaluate": own_truth.app, "models": models.app}
 for _name, _group in _GROUPS.items():

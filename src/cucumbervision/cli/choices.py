@@ -165,7 +165,7 @@ def measure_options(
     path = profile_path(profile)
     if path.name != PACK_PROFILE:
         return options.for_crop(load_profile(path))
-    from cucumbervision.pipeline.crop_pack import read_pack
+    from cucumbervision.pipeline.options import read_pack
 
     return read_pack(path.parent).options(options)
 

@@ -39,7 +39,7 @@ def check(folder: Pack) -> None:
     """Read everything in the folder and say what it holds."""
     from cucumbervision.accuracy.truth import read_truth
     from cucumbervision.perception.yolo import YoloDetector
-    from cucumbervision.pipeline.crop_pack import read_pack
+    from cucumbervision.pipeline.options import read_pack
 
     pack = read_pack(folder)
     limits = pack.profile.acceptance

@@ -1,4 +1,4 @@
-"""`cucumbervision stream`, `record` and `cameras`: commands that run until they are stopped."""
+"""`cucumbervision stream`, `record`, `cameras`, `serve` and `schema`."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import json
 import os
 import sys
 import time
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
@@ -14,6 +15,8 @@ import typer
 from cucumbervision.cli.choices import (
     OF_CAMERA_FILE,
     Burst,
+    ListenOn,
+    Port,
     Quiet,
     measure_options,
     takes,
@@ -22,6 +25,8 @@ from cucumbervision.errors import CameraError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+
+    from pydantic import BaseModel
 
     from cucumbervision.capture.recorder import Recorded
     from cucumbervision.errors import CucumberVisionError
@@ -280,3 +285,49 @@ def cameras() -> None:
     for device in devices:
         table.add_row(device.name, device.serial, device.firmware, device.usb)
     screen().print(table)
+
+
+@takes("options", measure_options, {"depth"} | OF_CAMERA_FILE)
+def serve(
+    address: ListenOn = "127.0.0.1",
+    port: Port = 8600,
+    most_mb: Annotated[
+        int, typer.Option("--max-mb", min=1, help="Maximum size of a request, megabytes.")
+    ] = 200,
+    waiting: Annotated[int, typer.Option(min=0, help="Maximum number of waiting requests.")] = 8,
+    *,
+    options: MeasureOptions,
+) -> None:
+    """Serve POST /measure and POST /detect, /health and /metrics. Needs the extra 'serve'.
+
+    If the environment variable CUCUMBERVISION_TOKEN is set, requests must contain this token. It is
+    required for addresses that other machines can reach.
+    """
+    from cucumbervision.service.server import serve as run
+
+    def ready() -> None:
+        typer.echo(f"http://{address}:{port} (Ctrl-C ends)", err=True)
+
+    run(options, address=address, port=port, most_mb=most_mb, waiting=waiting, ready=ready)
+
+
+class Kind(StrEnum):
+    """JSON that programs read."""
+
+    STREAM = "stream"
+    MEASURE = "measure"
+    DETECT = "detect"
+
+
+def schema(
+    kind: Annotated[
+        Kind, typer.Argument(help="A line of stream; or the reply to /measure or /detect.")
+    ],
+) -> None:
+    """Print the JSON Schema of a stream's line or a reply of the service."""
+    from cucumbervision.service.app import DetectReply, MeasureReply
+    from cucumbervision.streaming.stream import line_model
+
+    models: dict[Kind, type[BaseModel]]
+    models = {Kind.STREAM: line_model(), Kind.MEASURE: MeasureReply, Kind.DETECT: DetectReply}
+    typer.echo(json.dumps(models[kind].model_json_schema(mode="serialization"), indent=1))

@@ -65,7 +65,7 @@ def use(
     """
     from cucumbervision.cli.console import plain_console
     from cucumbervision.errors import ModelError
-    from cucumbervision.perception.own_networks import use_network, use_shipped
+    from cucumbervision.perception.registry import use_network, use_shipped
 
     if (path is None) != shipped:
         raise ModelError("name one network", remedy="give RUN_OR_ONNX or --shipped")

@@ -17,17 +17,16 @@ from cucumbervision.geometry.tube_evidence import (
     SLIPS,
     Evidence,
     ends_seen,
+    gaps_of,
     normal_equations,
     point_readings,
     ray_readings,
 )
-from cucumbervision.geometry.tube_gaps import gaps_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from cucumbervision.geometry.tube_evidence import Evidence
-    from cucumbervision.geometry.tube_gaps import Gaps
+    from cucumbervision.geometry.tube_evidence import Evidence, Gaps
 
 
 # In shares of the length L and the radius r.

@@ -163,7 +163,7 @@ def _shape(shape: TubeShape) -> _Shape:
 
 
 def gaps(shape: TubeShape, readings: NDArray[np.float64], *, rays: bool) -> Contacts | None:
-    """Measure as `tube_gaps.gaps`; None where NumPy must."""
+    """Measure as `tube_evidence.gaps`; None where NumPy must."""
     if library() is None or not _finite(readings, shape.bend_m, shape.width_m):
         return None
     found = Contacts.empty(len(readings))
@@ -175,7 +175,7 @@ def gaps(shape: TubeShape, readings: NDArray[np.float64], *, rays: bool) -> Cont
 def depth_gaps(
     shape: TubeShape, rays: NDArray[np.float64], far_m: NDArray[np.float64]
 ) -> Contacts | None:
-    """Measure as `tube_gaps.depth_gaps`; None where NumPy must."""
+    """Measure as `tube_evidence.depth_gaps`; None where NumPy must."""
     if library() is None or not _finite(rays, far_m, shape.bend_m, shape.width_m):
         return None
     found, count = Contacts.empty(len(rays)), len(rays)

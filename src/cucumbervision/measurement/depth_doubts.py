@@ -1,8 +1,9 @@
-"""Detect depth that cannot be the distance of a fruit; pure functions of arrays."""
+"""Detect depth and outlines that cannot be those of one fruit; pure functions of arrays."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,13 +17,16 @@ from cucumbervision.measurement.flags import Flag
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-
 LEAST_FILL = 0.5
 """Share of a fruit's pixels with depth below which its length is doubtful.
 
 Nearer than its range a camera reads a few pixels of the rim, which are wrong.
 """
 
+MIN_READINGS = 30
+"""Number of readings without which depth says nothing."""
+
+_BODY_PX = 16.0  # of a radius: more pixels say no more
 _NEAREST_M = 0.12  # minimum distance of common depth cameras (D405: 7 cm, D435: 17 cm)
 # Ranges of the middle and the flanks: distance from the outline relative to the largest. The flanks
 # of a tube lie 0.12 to 0.55 radii behind the middle, 0.26 in the median.
@@ -32,7 +36,9 @@ _HOLLOW_RADII = 0.08  # threshold in apparent radii: the middle lies behind the 
 _SURROUNDING_RADII = (0.3, 1.0)  # beyond the outline
 _NEARER_SHARE = 0.85  # of the readings there
 _NOISE_SD = 4.0  # standard errors of both medians
-_LEAST_PART = 0.1  # minimum size of a part, relative to the mask
+# Size of a piece, relative to the mask, and of a part on one side of a waist. A line that joins
+# pieces is no part of them.
+_LEAST_PIECE, _LEAST_PART, _LINE_RADII = 0.01, 0.1, 0.12
 _WAIST_SHARE = 0.72  # of the largest radius: a narrower place between wider parts is a waist
 _WAIST_SIDE_SHARE = 0.1  # of a waist's gap, on the side with less of it
 _GAP_BEHIND = 1.0  # minimum distance of the gap behind the fruit, in diameters
@@ -42,12 +48,24 @@ _LONGEST_GAP_RATIO = 2.5  # maximum length of the gap relative to its shortest l
 _PLANE_RING_RADII, _LEAST_HEIGHT_RADII, _ROUGHNESS_RADII, _PLANE_STEPS = (0.15, 1.2), 0.5, 0.3, 4
 _PLANE_READINGS = 2000  # more readings do not improve the plane
 _GAP_SHARE = 0.8  # share of the readings in the gap
+# Readings in the outline that lie so many radii behind the surface around them, and their share in
+# three quarters of the sections: 0.106 where outlines are 3 px too wide, up to 0.09 on drawn fruit
+# at the rim of far ones, 0.0 on real ones.
+_BEHIND_RADII, _BEHIND_SHARE, _BEHIND_SECTIONS = 4.0, 0.1, 12
+_ONE_VALUE_SHARE = 0.6  # real skin has one value on at most 0.23 of its pixels
+_STEM_WIDTH, _STEM_RADII = 0.35, 1.0  # of the largest width; length of such a narrow end
+# Surface that goes on: in a ring of pixels (a camera's own blur makes 0.94), and beyond an end.
+_RING_PX, _RING_SHARE = (3, 7), 0.97
+_BEYOND_RADII, _BEYOND_SHARE, _SURFACE_RADII, _SAME_COLOR = (0.2, 0.7), 0.75, 0.5, 45.0
 
 
 def depth_doubts(
-    depth_m: NDArray[np.float32], mask: NDArray[np.bool_], focal_px: float
+    depth_m: NDArray[np.float32],
+    mask: NDArray[np.bool_],
+    focal_px: float,
+    color: NDArray[np.uint8] | None = None,
 ) -> tuple[Flag, ...]:
-    """Return flags for depth that cannot be the distance of a fruit.
+    """Return flags for depth that cannot be the distance of a fruit, and outlines off their fruit.
 
     Parameters
     ----------
@@ -57,6 +75,8 @@ def depth_doubts(
         The fruit's pixels.
     focal_px : float
         Focal length, pixels.
+    color : ndarray of uint8, shape (H, W, 3), optional
+        The picture: what goes on beyond an end has the fruit's colour.
 
     Returns
     -------
@@ -66,9 +86,11 @@ def depth_doubts(
         'depth-hollow': its middle lies behind its flanks, and the fruit behind its surroundings,
         as in inverted depth. 'depth-gap': the mask has several parts, and the background between
         them is clearly farther away, so that they are different fruit. 'depth-unaligned': the fruit
-        does not stand out from the plane around it, or the mask fits the near depth much better at
-        another position. 'depth-coarse': its readings differ in steps of over 1.2 % of the
-        distance, or the picture holds whole millimetres up to 255; not of a fruit that is too near.
+        does not stand out from the plane around it, part of the mask lies far behind it nearly all
+        along, or the mask fits the near depth much better at another position. 'depth-coarse': its
+        readings differ in steps of over 1.2 % of the distance, or are one value, or the picture
+        holds whole millimetres up to 255; not of a fruit that is too near. 'outline-stem': an end
+        of the mask is a third as wide as the fruit. 'outline-short': the surface goes on beyond it.
 
     Examples
     --------
@@ -90,24 +112,31 @@ def depth_doubts(
         return (Flag.DEPTH_SPARSE,) if is_sparse else ()
     body = _Body.of(depth_m, mask, float(quick_median(readings)), focal_px)
     is_too_near = body.distance_m < _NEAREST_M
-    is_coarse = has_coarse_steps(depth_m, readings)
     doubts = {
         Flag.DEPTH_TOO_NEAR: is_too_near,
         Flag.DEPTH_SPARSE: is_sparse,
         Flag.DEPTH_HOLLOW: _is_hollow(body),
         Flag.DEPTH_GAP: _has_gap(body),
         Flag.DEPTH_UNALIGNED: _is_flat(body)
-        or fits_better_elsewhere(depth_m, mask, body.radius_px, focal_px),
-        Flag.DEPTH_COARSE: is_coarse and not is_too_near,
+        or _lies_behind(body)
+        or _fits_better_elsewhere(depth_m, body),
+        Flag.DEPTH_COARSE: not is_too_near
+        and has_coarse_steps(depth_m, readings, may_be_one=not is_sparse),
     }
+    # Wrong depth says nothing of an outline.
+    doubts[Flag.OUTLINE_STEM] = not any(doubts.values()) and _has_stem(body)
+    doubts[Flag.OUTLINE_SHORT] = not any(doubts.values()) and (
+        _goes_on_around(depth_m, mask, body) or any(_goes_on(body, end, color) for end in (-1, 1))
+    )
     return tuple(flag for flag, holds in doubts.items() if holds)
 
 
 @dataclass(frozen=True, eq=False)
 class _Body:
-    """A fruit in a window of the picture, extended by the ring that defines the plane.
+    """A fruit in a window of the picture, of every `step`-th pixel; distances are in those pixels.
 
-    Distances from the outline, inside and outside, are in pixels.
+    `pixels` are those of the mask; `near_m` is the depth of what is nearest along the fruit, as a
+    line: its value at `centre`, and its slope along `axis`.
     """
 
     depth_m: NDArray[np.float32]
@@ -115,9 +144,14 @@ class _Body:
     read: NDArray[np.bool_]
     inside_px: NDArray[np.float32]
     outside_px: NDArray[np.float32]
+    pixels: NDArray[np.float64]
+    centre: NDArray[np.float64]
+    axis: NDArray[np.float64]
     radius_px: float
     radius_m: float
     distance_m: float
+    part: tuple[slice, slice]
+    step: int
 
     @classmethod
     def of(
@@ -127,27 +161,63 @@ class _Body:
         distance_m: float,
         focal_px: float,
     ) -> _Body:
-        tight = mask_window(mask)
-        if tight is None:
-            raise ValueError("the mask is empty")
-        inside_px = distances_inside(np.pad(mask[tight], 1))[1:-1, 1:-1]
-        radius_px = float(inside_px.max())
-        part = mask_window(mask, int(_PLANE_RING_RADII[1] * radius_px) + 2) or tight
-        depth_m, mask = depth_m[part], mask[part]
-        around = [
-            (inner.start - outer.start, outer.stop - inner.stop)
-            for inner, outer in zip(tight, part, strict=True)
+        x1, y1, x2, y2 = box_of_mask(mask)
+        part = mask_window(mask, int(min(x2 - x1, y2 - y1)) + 7) or (slice(None), slice(None))
+        about_px = np.count_nonzero(mask[part]) / (2 * np.hypot(x2 - x1, y2 - y1))
+        step = max(1, int(about_px / _BODY_PX))
+        depth_m, mask = depth_m[part][::step, ::step], mask[part][::step, ::step]
+        # The outline is nearer than the first pixel beyond it that is left.
+        nearer_px = np.float32(0.5 - 0.5 / step)
+        inside_px = distances_inside(np.pad(mask, 1))[1:-1, 1:-1] - nearer_px
+        outside_px = distances_inside(~mask) - nearer_px
+        radius_px, pixels = float(inside_px.max()), mask_pixels(mask)
+        radius_m = radius_px * step * distance_m / focal_px
+        arrays = depth_m, mask, valid_depth(depth_m), inside_px, outside_px, pixels
+        sizes = radius_px, radius_m, distance_m, part, step
+        return cls(*(*arrays, *principal_axis(pixels), *sizes))
+
+    @cached_property
+    def line(self) -> tuple[float, float] | None:
+        """Its own `near_line`."""
+        return self.near_line(self.depth_m, self.read)
+
+    def near_line(
+        self, depth_m: NDArray[np.float32], read: NDArray[np.bool_]
+    ) -> tuple[float, float] | None:
+        """Return the depth of what is nearest along the fruit: at its centre, and its slope.
+
+        A fruit that points at the camera is farther away at one end by more than its radius. None
+        with too few readings.
+        """
+        v, u = np.nonzero(read & (self.outside_px <= self.radius_px))
+        if len(v) < MIN_READINGS:
+            return None
+        v, u = (rows[:: max(1, len(v) // _PLANE_READINGS)] for rows in (v, u))
+        places, readings_m = self.along[v, u], depth_m[v, u]
+        section = _sections(places, _SECTIONS)
+        lines = [
+            (places[section == k].mean(), np.percentile(readings_m[section == k], _NEAREST_PERCENT))
+            for k in range(_SECTIONS)
+            if np.count_nonzero(section == k) >= MIN_READINGS
         ]
-        return cls(
-            depth_m,
-            mask,
-            valid_depth(depth_m),
-            np.pad(inside_px, around),
-            distances_inside(~mask),
-            radius_px,
-            radius_px * distance_m / focal_px,
-            distance_m,
-        )
+        if len(lines) < 3:
+            return float(np.percentile(readings_m, _NEAREST_PERCENT)), 0.0
+        # Theil and Sen: what hides one section does not turn the line.
+        t, near_m = np.array(lines).T
+        i, j = np.triu_indices(len(t), 1)
+        slope = float(np.median((near_m[j] - near_m[i]) / (t[j] - t[i])))
+        return float(np.median(near_m - slope * t)), slope
+
+    @cached_property
+    def along(self) -> NDArray[np.float64]:
+        """The place of each pixel of the window along the axis, from the centre."""
+        v, u = np.ogrid[: self.mask.shape[0], : self.mask.shape[1]]
+        return np.asarray((u - self.centre[0]) * self.axis[0] + (v - self.centre[1]) * self.axis[1])
+
+    def off_m(self, depth_m: NDArray[Any], along: NDArray[Any]) -> NDArray[np.float64]:
+        """Return how far readings lie behind the line of what is nearest; NaN without a line."""
+        start_m, slope = self.line or (np.nan, 0.0)
+        return np.asarray(depth_m - start_m - slope * along)
 
 
 def _is_hollow(body: _Body) -> bool:
@@ -186,36 +256,35 @@ def _has_gap(body: _Body) -> bool:
         depths_m = body.depth_m[gap & body.read]
         return depths_m.size >= MIN_READINGS and float((depths_m > limit_m).mean()) >= _GAP_SHARE
 
-    pieces = _parts(body.mask)
+    pieces = _parts(body.inside_px > _LINE_RADII * body.radius_px, _LEAST_PIECE)
     if pieces is not None and is_behind(_between(pieces, width_px) & ~body.mask):
         return True
-    worn = _parts(body.inside_px >= _WAIST_SHARE * body.radius_px)
+    worn = _parts(body.inside_px >= _WAIST_SHARE * body.radius_px, _LEAST_PART)
     if worn is None:
         return False
     gap = _between(_grown(worn, body.mask, width_px), width_px) & ~body.mask
-    return is_behind(gap) and _is_on_both_sides(gap, body.mask)
+    return is_behind(gap) and _is_on_both_sides(gap, body)
 
 
-def _is_on_both_sides(gap: NDArray[np.bool_], mask: NDArray[np.bool_]) -> bool:
+def _is_on_both_sides(gap: NDArray[np.bool_], body: _Body) -> bool:
     """Return whether a gap lies on both sides of a mask; a leaf or tendril notches one side."""
-    centre, axis = principal_axis(mask_pixels(mask))
-    across = np.array([-axis[1], axis[0]])
-    of_mask, of_gap = (mask_pixels(part) - centre for part in (mask, gap))
-    rows = np.rint(of_mask @ axis).astype(np.intp)
+    across = np.array([-body.axis[1], body.axis[0]])
+    of_mask, of_gap = body.pixels - body.centre, mask_pixels(gap) - body.centre
+    rows = np.rint(of_mask @ body.axis).astype(np.intp)
     first, counts = rows.min(), np.bincount(rows - rows.min())
     middle_px = np.bincount(rows - first, of_mask @ across) / np.maximum(counts, 1)
-    gap_rows = np.clip(np.rint(of_gap @ axis).astype(np.intp) - first, 0, len(counts) - 1)
+    gap_rows = np.clip(np.rint(of_gap @ body.axis).astype(np.intp) - first, 0, len(counts) - 1)
     share = float((of_gap @ across > middle_px[gap_rows]).mean())
     return min(share, 1.0 - share) >= _WAIST_SIDE_SHARE
 
 
-def _parts(core: NDArray[np.bool_]) -> NDArray[np.uint8] | None:
+def _parts(core: NDArray[np.bool_], least: float) -> NDArray[np.uint8] | None:
     """Return a mask's large parts, numbered from 1, 0 elsewhere; None if there is only one."""
     import cv2
 
     count, labels, stats, _ = cv2.connectedComponentsWithStats(core.astype(np.uint8))
     areas = stats[1:count, cv2.CC_STAT_AREA]
-    large = 1 + np.flatnonzero(areas > _LEAST_PART * areas.sum())
+    large = 1 + np.flatnonzero(areas > least * areas.sum())
     if len(large) < 2:
         return None
     return np.where(np.isin(labels, large), labels, 0).astype(np.uint8)
@@ -299,8 +368,99 @@ def _robust_sd(values: NDArray[np.floating[Any]]) -> float:
     return 1.4826 * float(quick_median(np.abs(values - quick_median(values))))
 
 
-MIN_READINGS = 30
-"""Number of readings without which depth says nothing."""
+def _lies_behind(body: _Body) -> bool:
+    """Return whether a mask lies partly on what is far behind, nearly all along the fruit."""
+    import cv2
+
+    read = body.mask & body.read
+    if np.count_nonzero(read) < MIN_READINGS:
+        return False
+    surface_m = cv2.medianBlur(np.where(read, body.depth_m, np.float32(1e3)), 5)
+    side_px = 2 * round(body.radius_px) + 1
+    near_m = np.asarray(cv2.erode(surface_m, np.ones((side_px, side_px), np.uint8)))
+    behind = (body.depth_m > near_m + _BEHIND_RADII * body.radius_m)[read]
+    section = _sections(body.along[read], _BEHIND_SECTIONS)
+    counts, counts_behind = np.bincount(section), np.bincount(section, behind)
+    return float(np.quantile(counts_behind / np.maximum(counts, 1), 0.25)) >= _BEHIND_SHARE
+
+
+def _sections(places: NDArray[np.float64], count: int) -> NDArray[np.intp]:
+    """Return for each place along a fruit in which of so many equal sections it lies."""
+    bounds = np.linspace(places.min(), places.max(), count + 1)[1:-1]
+    return np.asarray(np.searchsorted(bounds, places), np.intp)
+
+
+def _has_stem(body: _Body) -> bool:
+    """Return whether an end of a mask is much narrower than the fruit, before what is behind."""
+    along = body.along[body.mask]
+    rows = np.rint(along - along.min()).astype(np.intp)
+    wide = np.flatnonzero(np.bincount(rows) >= _STEM_WIDTH * 2.0 * body.radius_px)
+    # A leaf that hides most of the width is nearer than the fruit.
+    beside = (body.outside_px > 1.0) & (body.outside_px < body.radius_px) & body.read
+    places = body.along[beside]
+    clear = body.off_m(body.depth_m[beside], places) > body.radius_m
+    for narrow in (along[rows < wide[0]], along[rows > wide[-1]]) if len(wide) else ():
+        if len(narrow) and np.ptp(narrow) >= _STEM_RADII * body.radius_px:
+            first, last = np.quantile(narrow, [0.1, 0.9])
+            clear_there = clear[(places > first) & (places < last)]
+            if len(clear_there) >= MIN_READINGS and clear_there.mean() >= _NEARER_SHARE:
+                return True
+    return False
+
+
+def _goes_on_around(depth_m: NDArray[np.float32], mask: NDArray[np.bool_], body: _Body) -> bool:
+    """Return whether the fruit's surface goes on all round a mask that was drawn too narrow."""
+    import cv2
+
+    window = mask_window(mask, _RING_PX[1]) or body.part
+    within, wider = (
+        cv2.dilate(mask[window].view(np.uint8), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, size))
+        for size in ((side_px, side_px) for side_px in _RING_PX)
+    )
+    v, u = np.nonzero((wider > within) & valid_depth(depth_m[window]))
+    corner = [window[1].start - body.part[1].start, window[0].start - body.part[0].start]
+    along = ((np.stack([u, v], axis=1) + corner) / body.step - body.centre) @ body.axis
+    same = np.abs(body.off_m(depth_m[window][v, u], along)) < body.radius_m
+    return bool(len(v) >= MIN_READINGS and same.mean() >= _RING_SHARE)
+
+
+def _goes_on(body: _Body, end: int, color: NDArray[np.uint8] | None) -> bool:
+    """Return whether a surface as wide and of the same colour goes on beyond an end of a mask."""
+    pixels, radius = body.pixels, body.radius_px
+    along = end * (pixels - body.centre) @ body.axis
+    top = along.max()
+    tip, inner = along > top - 2 * radius, (along <= top - 2 * radius) & (along > top - 4 * radius)
+    if not inner.any():
+        return False
+    middle = pixels[tip].mean(axis=0)
+    ahead = middle - pixels[inner].mean(axis=0)
+    ahead /= max(float(np.linalg.norm(ahead)), 1e-9)
+    aside = np.array([-ahead[1], ahead[0]])
+    forward, sideways = (pixels - middle) @ ahead, (pixels - middle) @ aside
+    core = np.abs(sideways) < 0.3 * radius
+    edge = forward[core].max(initial=-np.inf)
+    core &= (forward > edge - 3 * radius) & (forward < edge - 0.3 * radius)
+    u, v = pixels[core].astype(np.intp).T
+    read = body.read[v, u]
+    if np.count_nonzero(read) < MIN_READINGS:
+        return False
+    slope, start_m = np.polyfit(forward[core][read], body.depth_m[v, u][read], 1)
+    beyond, across = np.linspace(*_BEYOND_RADII, 5), np.linspace(-0.5, 0.5, 5)
+    steps, sides = (grid.ravel() * radius for grid in np.meshgrid(beyond, across))
+    steps += edge
+    places = middle + np.outer(steps, ahead) + np.outer(sides, aside)
+    x, y = np.rint(places).astype(np.intp).T
+    height, width = body.mask.shape
+    inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+    x, y = np.clip(x, 0, width - 1), np.clip(y, 0, height - 1)
+    off_m = np.abs(body.depth_m[y, x] - start_m - slope * steps)
+    same = inside & body.read[y, x] & ~body.mask[y, x] & (off_m < _SURFACE_RADII * body.radius_m)
+    if same.mean() < _BEYOND_SHARE or color is None:
+        return bool(same.mean() >= _BEYOND_SHARE)
+    part = color[body.part][:: body.step, :: body.step]
+    gap = np.median(part[y, x][same], axis=0) - np.median(part[v, u], axis=0)
+    return float(np.abs(gap).max()) < _SAME_COLOR
+
 
 # Real fruit with correct depth do not exceed these limits; some drawn in heaps do, and most masks
 # that are moved across by a radius.
@@ -309,57 +469,25 @@ _RADIUS_PX, _SHIFTS, _MOVED_RADII = 6.0, 13, 0.6
 _ALIGNED, _BETTER, _LEAST_KNOWN = 1.0, 0.7, 0.3
 _BESIDE_SCORES = -1.0, 0.8  # of a mask beside its fruit: more is on it, less is behind others
 _WIDER = 0.7  # focal length of a D435's depth, relative to its colour's
-_ALIGNED_AS_WIDER, _BETTER_AS_WIDER = 1.2, 0.8
+_ALIGNED_AS_WIDER, _BETTER_AS_WIDER, _BEST_SCORE = 1.2, 0.8, 2.0
 
 
-def fits_better_elsewhere(
-    depth_m: NDArray[np.float32], mask: NDArray[np.bool_], radius_px: float, focal_px: float
-) -> bool:
-    """Return whether a mask fits its depth much better moved, or enlarged from a wider camera.
-
-    The mask is moved in a window that extends the fruit by its shorter side.
-
-    Parameters
-    ----------
-    depth_m : ndarray of float32, shape (H, W)
-        Metres; 0 for no reading.
-    mask : ndarray of bool, shape (H, W)
-        The fruit's pixels, at least one.
-    radius_px : float
-        Largest distance of a pixel of the mask from its outline.
-    focal_px : float
-        Focal length, pixels.
-
-    Examples
-    --------
-    >>> mask = np.zeros((120, 200), bool)
-    >>> mask[50:70, 60:140] = True
-    >>> depth_m = np.where(mask, 0.5, 0.7).astype(np.float32)
-    >>> fits_better_elsewhere(depth_m, mask, 10.0, 600.0)
-    False
-    >>> fits_better_elsewhere(np.roll(depth_m, 12, axis=0), mask, 10.0, 600.0)
-    True
-    """
-    x1, y1, x2, y2 = box_of_mask(mask)
-    part = mask_window(mask, int(min(x2 - x1, y2 - y1)) + 7)
-    if part is None:
+def _fits_better_elsewhere(depth_m: NDArray[np.float32], body: _Body) -> bool:
+    """Return whether a mask fits its depth much better moved, or enlarged from a wider camera."""
+    layers = _layers(body.depth_m, body)
+    if layers is None:
         return False
-    step = max(1, int(radius_px / (2 * _RADIUS_PX)))  # enough pixels to average over
-    near = 1 + _NEAR_RADII * radius_px / focal_px
-    mask, radius_px = mask[part][::step, ::step], radius_px / step
-    scores = _scores(depth_m[part][::step, ::step], mask, radius_px, near)
-    if scores is None:
-        return False
-    score = float(scores[_SHIFTS, _SHIFTS])
+    score = float(_scores(layers, 0)[0, 0])
     least, most = _BESIDE_SCORES
-    better = score + _BETTER
-    if least <= score <= most and _is_best(
-        scores, max(_ALIGNED, better), _MOVED_RADII * _RADIUS_PX
-    ):
-        return True
-    scores = _scores(_as_wider(depth_m, part, step), mask, radius_px, near)
-    better = score + _BETTER_AS_WIDER
-    return scores is not None and _is_best(scores, max(_ALIGNED_AS_WIDER, better))
+    if least <= score <= most:
+        limit = max(_ALIGNED, score + _BETTER)
+        if _is_best(_scores(layers, _SHIFTS), limit, _MOVED_RADII * _RADIUS_PX):
+            return True
+    limit = max(_ALIGNED_AS_WIDER, score + _BETTER_AS_WIDER)
+    if limit > _BEST_SCORE:
+        return False
+    layers = _layers(_as_wider(depth_m, body), body)
+    return layers is not None and _is_best(_scores(layers, _SHIFTS), limit)
 
 
 def _is_best(scores: NDArray[np.float32], least: float, least_moved: float = 0.0) -> bool:
@@ -370,100 +498,68 @@ def _is_best(scores: NDArray[np.float32], least: float, least_moved: float = 0.0
     return bool(scores[best] >= least and np.hypot(*moved) >= least_moved and moved.max() < _SHIFTS)
 
 
-def _as_wider(
-    depth_m: NDArray[np.float32], part: tuple[slice, slice], step: int
-) -> NDArray[np.float32]:
+def _as_wider(depth_m: NDArray[np.float32], body: _Body) -> NDArray[np.float32]:
     """Return a part of a depth picture, enlarged about the middle as if nobody had aligned it."""
     import cv2
 
     height, width = depth_m.shape
-    v, u = part
-    scale = _WIDER * step
+    v, u = body.part
+    scale = _WIDER * body.step
     turn = np.array(
         [
             [scale, 0.0, width / 2 + (u.start - width / 2) * _WIDER],
             [0.0, scale, height / 2 + (v.start - height / 2) * _WIDER],
         ]
     )
-    size = -(-(u.stop - u.start) // step), -(-(v.stop - v.start) // step)
+    size = body.mask.shape[::-1]
     nearest = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
     return np.asarray(cv2.warpAffine(depth_m, turn, size, flags=nearest), np.float32)
 
 
-def _scores(
-    depth_m: NDArray[np.float32], mask: NDArray[np.bool_], radius_px: float, near: float
-) -> NDArray[np.float32] | None:
-    """Return how well a mask fits the depth at each shift; None with too few readings.
+def _layers(depth_m: NDArray[np.float32], body: _Body) -> NDArray[np.float32] | None:
+    """Return what is near (1) and far (-1), what is read, the mask and a ring around it, shrunk.
 
-    The score is the mean inside the mask minus the mean around it, where near readings count +1 and
-    far ones -1; it is 2 for a free-standing fruit. Readings up to `near` times the distance of what
-    is nearest are near.
+    Near is what lies before 1.3 apparent radii behind what is nearest along the fruit,
+    because the distance at the mask may be that of another object. None without a line.
     """
     import cv2
 
-    read, side_px = valid_depth(depth_m), 2 * round(radius_px) + 1
-    # A sum over squares is a dilation whose time does not grow with the square.
-    sums = cv2.boxFilter(
-        mask.astype(np.uint8), -1, (side_px, side_px), normalize=False, borderType=0
-    )
-    is_around = read & (sums > 0)
-    if np.count_nonzero(is_around) < MIN_READINGS:
+    read = valid_depth(depth_m)
+    line = body.line if depth_m is body.depth_m else body.near_line(depth_m, read)
+    if line is None:
         return None
-    # Relative to the nearest, because the distance at the mask may be that of another object.
-    limit_m = near * _nearest_along(depth_m, mask, is_around)
+    limit_m = (line[0] + line[1] * body.along) * (1 + _NEAR_RADII * body.radius_m / body.distance_m)
     behind = np.where(depth_m < limit_m, np.float32(1), np.float32(-1)) * read
     # Six pixels per radius are enough to find the best position.
-    scale = min(1.0, _RADIUS_PX / radius_px)
-    size = [max(1, round(n * scale)) for n in mask.shape[::-1]]
+    scale = min(1.0, _RADIUS_PX / body.radius_px)
+    size = [max(1, round(n * scale)) for n in body.mask.shape[::-1]]
     values, is_read, shape = (
         np.asarray(cv2.resize(np.asarray(part, np.float32), size, interpolation=cv2.INTER_AREA))
-        for part in (behind, read, mask)
+        for part in (behind, read, body.mask)
     )
     outer, inner = (np.asarray(cv2.dilate(shape, np.ones((n, n)))) for n in (7, 3))
-    ring = np.clip(outer - inner, 0.0, 1.0)
-    return _mean_under(values, is_read, shape) - _mean_under(values, is_read, ring)
+    ring = np.clip(outer - inner, np.float32(0), np.float32(1))
+    return np.stack([values, is_read, shape, ring]).astype(np.float32)
 
 
-def _nearest_along(
-    depth_m: NDArray[np.float32], mask: NDArray[np.bool_], is_around: NDArray[np.bool_]
-) -> NDArray[np.float64]:
-    """Return the depth of what is nearest as a straight line along a mask, for every pixel.
+def _scores(layers: NDArray[np.float32], shifts: int) -> NDArray[np.float32]:
+    """Return how well a mask fits depth at each shift up to so many pixels.
 
-    A fruit that points at the camera is farther away at one end by more than its radius.
+    The score is the mean inside the mask minus the mean around it, where near readings count +1 and
+    far ones -1; it is 2 for a free-standing fruit.
     """
-    centre, axis = principal_axis(mask_pixels(mask))
-    v, u = np.ogrid[: mask.shape[0], : mask.shape[1]]
-    along = (u - centre[0]) * axis[0] + (v - centre[1]) * axis[1]
-    places, readings_m = along[is_around], depth_m[is_around]
-    bounds = np.linspace(places.min(), places.max(), _SECTIONS + 1)[1:-1]
-    section = np.searchsorted(bounds, places)
-    lines = [
-        (places[section == k].mean(), np.percentile(readings_m[section == k], _NEAREST_PERCENT))
-        for k in range(_SECTIONS)
-        if np.count_nonzero(section == k) >= MIN_READINGS
-    ]
-    if len(lines) < 3:
-        return np.full(mask.shape, np.percentile(readings_m, _NEAREST_PERCENT))
-    # Theil and Sen: what hides one section does not turn the line.
-    t = np.array([place for place, _ in lines])
-    near_m = np.array([reading for _, reading in lines])
-    i, j = np.triu_indices(len(t), 1)
-    slope = np.median((near_m[j] - near_m[i]) / (t[j] - t[i]))
-    return np.asarray(np.median(near_m - slope * t) + slope * along)
-
-
-def _mean_under(
-    values: NDArray[Any], is_read: NDArray[Any], weights: NDArray[Any]
-) -> NDArray[np.float32]:
-    """Return the weighted mean of the readings for each shift up to `_SHIFTS` pixels."""
     import cv2
 
-    sums, counts = (
-        np.asarray(cv2.matchTemplate(np.pad(part, _SHIFTS), weights, cv2.TM_CCORR))
-        for part in (values, is_read)
-    )
-    least_weight = _LEAST_KNOWN * float(weights.sum())
-    return np.asarray(sums / np.maximum(counts, max(least_weight, 1e-3)), np.float32)
+    values, is_read, *weights = layers
+    means = []
+    for weight in weights:
+        sums, counts = (
+            np.asarray(cv2.matchTemplate(np.pad(part, shifts), weight, cv2.TM_CCORR))
+            for part in (values, is_read)
+        )
+        least_weight = _LEAST_KNOWN * float(weight.sum())
+        means.append(sums / np.maximum(counts, max(least_weight, 1e-3)))
+    return np.asarray(means[0] - means[1], np.float32)
 
 
 _LEVEL_SAMPLES = 10_000
@@ -475,7 +571,9 @@ _NEAR_M, _PICTURE_STRIDE = 2.0, 4  # where the steps of a picture are looked at
 _EIGHT_BITS_M, _MILLIMETRE_M = 0.2555, 0.00099
 
 
-def has_coarse_steps(depth_m: NDArray[np.float32], readings_m: NDArray[np.float32]) -> bool:
+def has_coarse_steps(
+    depth_m: NDArray[np.float32], readings_m: NDArray[np.float32], *, may_be_one: bool = True
+) -> bool:
     """Return whether depth has too few values for a round body, as after 8 bits.
 
     Parameters
@@ -484,6 +582,8 @@ def has_coarse_steps(depth_m: NDArray[np.float32], readings_m: NDArray[np.float3
         Metres; 0 for no reading.
     readings_m : ndarray of float32, shape (N,)
         Those of the fruit, at least one.
+    may_be_one : bool
+        Whether one value of most of them counts, where the picture holds several.
 
     Examples
     --------
@@ -494,19 +594,22 @@ def has_coarse_steps(depth_m: NDArray[np.float32], readings_m: NDArray[np.float3
     >>> has_coarse_steps(whole_centimetres, whole_centimetres.ravel())
     True
     """
-    return _is_coarse(depth_m, readings_m) or _has_eight_bits(depth_m, readings_m)
+    picture_m = depth_m[::_PICTURE_STRIDE, ::_PICTURE_STRIDE]
+    picture_m = picture_m[(picture_m > 0) & (picture_m < _NEAR_M)]
+    counts = np.unique(readings_m, return_counts=True)[1]
+    if may_be_one and counts.max() >= _ONE_VALUE_SHARE * counts.sum():
+        return len(np.unique(picture_m)) > 1
+    return _is_coarse(picture_m, readings_m) or _has_eight_bits(depth_m, readings_m)
 
 
-def _is_coarse(depth_m: NDArray[np.float32], readings_m: NDArray[np.float32]) -> bool:
+def _is_coarse(picture_m: NDArray[np.float32], readings_m: NDArray[np.float32]) -> bool:
     """Return whether a fruit's readings are too few values for a round body.
 
     Where steps are as thick as the fruit, those of the picture tell.
     """
     levels_m, least = _levels(readings_m), _FRUIT_LEVELS
     if 0 < len(levels_m) < least:
-        picture_m = depth_m[::_PICTURE_STRIDE, ::_PICTURE_STRIDE]
-        levels_m = _levels(picture_m[(picture_m > 0) & (picture_m < _NEAR_M)])
-        least = _PICTURE_LEVELS
+        levels_m, least = _levels(picture_m), _PICTURE_LEVELS
     if len(levels_m) < least:
         return False
     return float(np.median(np.diff(levels_m) / levels_m[1:])) > _COARSE_STEP

@@ -45,6 +45,8 @@ class Flag(StrEnum):
     DEPTH_UNALIGNED = "depth-unaligned"
     DEPTH_COARSE = "depth-coarse"
     DEPTH_ALONG_RAY = "depth-along-ray"
+    OUTLINE_SHORT = "outline-short"
+    OUTLINE_STEM = "outline-stem"
     PRINCIPAL_POINT = "principal-point"
     DEPTH_RESAMPLED = "depth-resampled"
     PLUGIN_FAILED = "plugin-failed"
@@ -187,8 +189,8 @@ FLAGS: Mapping[Flag, FlagMeaning] = {
         remedy="check the unit of depth (--depth-unit 0.001 is 1 mm a step)",
     ),
     Flag.DEPTH_SPARSE: FlagMeaning(
-        "less than half of the fruit has a depth reading, as where it is nearer than the camera "
-        "reads: no interval, no lower bound",
+        "less than half of the fruit has depth, as where it is nearer than the camera reads: no "
+        "interval, no lower bound",
         remark="hardly any depth on it: hold the camera farther away",
         effect=Effect.NO_DEPTH,
         shows_less=True,
@@ -196,8 +198,8 @@ FLAGS: Mapping[Flag, FlagMeaning] = {
         remedy="hold the camera at least 30 cm away",
     ),
     Flag.DEPTH_HOLLOW: FlagMeaning(
-        "the middle of the fruit is farther away than its sides, and its surroundings are "
-        "nearer: the depth picture holds inverse or relative depth",
+        "its middle is farther away than its sides, and its surroundings are nearer: inverse or "
+        "relative depth",
         remark="hollow by its depth: check what the depth picture holds",
         effect=Effect.NO_DEPTH,
         data_fault="the depth of their middle lies behind that of their flanks",
@@ -213,16 +215,16 @@ FLAGS: Mapping[Flag, FlagMeaning] = {
         remedy="give each fruit an outline of its own",
     ),
     Flag.DEPTH_UNALIGNED: FlagMeaning(
-        "shifted, its outline fits what is near far better, or nothing stands out from its "
-        "surroundings: check that depth is aligned to colour",
+        "its outline lies partly on what is far behind, fits far better elsewhere, or nothing "
+        "stands out: check that depth is aligned",
         remark="outline and depth do not lie together: check that depth is aligned",
         effect=Effect.NO_DEPTH,
         data_fault="outline and depth do not lie together",
         remedy="check that depth is aligned to colour, and masks are of this picture",
     ),
     Flag.DEPTH_COARSE: FlagMeaning(
-        "depth in steps of over 1.2 % of the distance, or whole millimetres up to 255, as in an "
-        "8-bit picture: lengths may be wrong by a tenth and more",
+        "depth of one value, in steps of over 1.2 % of the distance, or in whole millimetres up "
+        "to 255, as in an 8-bit picture",
         remark="depth in coarse steps: check what the depth picture holds",
         effect=Effect.NO_DEPTH,
         data_fault="their depth has coarse steps, as in a picture of 8 bits or in whole "
@@ -230,14 +232,25 @@ FLAGS: Mapping[Flag, FlagMeaning] = {
         remedy="give depth as the camera recorded it, with 16 bits in millimetres or finer",
     ),
     Flag.DEPTH_ALONG_RAY: FlagMeaning(
-        "the surface behind the fruit is a plane only if depth is the distance along each "
-        "pixel's ray, as simulators write it: lengths off the middle of a wide view may be "
-        "wrong by a quarter",
+        "depth seems to be the distance along each pixel's ray, as simulators write it",
         remark="depth may be measured along the pixels' rays",
         effect=Effect.NO_DEPTH,
         data_fault="what is behind them is a plane only if depth is the distance along each "
         "pixel's ray",
         remedy="read such depth with --depth-along ray",
+    ),
+    Flag.OUTLINE_SHORT: FlagMeaning(
+        "the fruit's surface goes on beyond its outline: a lower bound without an interval",
+        remark="its outline ends too early",
+        effect=Effect.LOWER_BOUND,
+        shows_less=True,
+    ),
+    Flag.OUTLINE_STEM: FlagMeaning(
+        "an end of its outline is as narrow as a stem: no interval",
+        remark="its outline takes in the stem",
+        effect=Effect.NO_DEPTH,
+        data_fault="an end of their outline is as narrow as a stem",
+        remedy="draw outlines from the stem's attachment to the blossom's end",
     ),
     Flag.PRINCIPAL_POINT: FlagMeaning(
         "the intrinsics' principal point is off the middle of the picture: wrong size, or cut "

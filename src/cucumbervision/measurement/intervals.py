@@ -331,7 +331,7 @@ def mask_features(
         "perceived": float(not is_labelled),
         "certainty": 0.0 if is_labelled else -float(np.log(max(1.0 - confidence, _LEAST_DOUBT))),
         "own_mask": float(source is MaskSource.DETECTOR),
-        "cut": float(Flag.CUT_BY_FRAME in flags),
+        "cut": float(not {Flag.CUT_BY_FRAME, Flag.OUTLINE_SHORT}.isdisjoint(flags)),
         "no_depth": float(not NO_DEPTH.isdisjoint(flags)),
         "goes_on": float(goes_on),
         # The end keypoints of a fruit that continues out of sight are guesses.
@@ -353,9 +353,8 @@ def has_no_interval(features: Mapping[str, float]) -> bool:
 WIDEST = 4.0  # an interval from half to twice a length is useless
 
 SCALE_SD = 0.01  # of an uncalibrated D4xx: the data sheet allows 2 % at 2 m
-REAL_SD = (
-    0.010  # additional error of real fruit over simulated ones: `benchmarks/real_cucumbers.py`
-)
+# Additional error of real fruit over simulated ones: `benchmarks/real_cucumbers.py`
+REAL_SD = 0.010
 
 _SHIPPED = Path(__file__).with_name("interval_models.json")
 

@@ -11,9 +11,8 @@ import numpy as np
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.geometry.pixels import depth_across, median_of, outline_cracks
 from cucumbervision.geometry.tube import TubeShape, with_tips
-from cucumbervision.geometry.tube_evidence import Evidence, end_overhangs
+from cucumbervision.geometry.tube_evidence import Evidence, end_overhangs, gaps
 from cucumbervision.geometry.tube_fit import TubeFitting, fit_shape
-from cucumbervision.geometry.tube_gaps import gaps
 from cucumbervision.geometry.tube_guess import (
     guess_from_midline,
     guess_from_picture,
@@ -22,12 +21,14 @@ from cucumbervision.geometry.tube_guess import (
 )
 from cucumbervision.instances.masks import distances_inside, mask_window
 from cucumbervision.measurement.depth_doubts import LEAST_FILL
-from cucumbervision.measurement.depth_noise import depth_noise, edge_error, noise_waves
 from cucumbervision.measurement.flags import Flag
 from cucumbervision.measurement.hidden_end import (
     DRAWN_KINDS,
     BeyondEnd,
     beyond_ends,
+    depth_noise,
+    edge_error,
+    noise_waves,
     with_hidden_end,
 )
 from cucumbervision.measurement.methods import Region, TableMethod
@@ -247,11 +248,8 @@ _ON_SURFACE_SD, _ON_SURFACE_M, _GOOD_ON_SURFACE = 4.0, 0.002, 0.8
 _MAY_BE_FRUIT, _CLEARLY_BETTER = 0.01, 0.03  # shares of the points, and of the silhouette
 # Two fruit in one outline overlap their tube by 0.72 to 0.82, 47 real fruit by 0.84 to 0.99.
 _LEAST_OVERLAP = 0.83
-_GOOD_OVERLAP, _UNSURE_M, _FITS_ALIKE = (
-    0.9,
-    0.004,
-    4.0,
-)  # outside these limits, other initial shapes are tried
+# Outside these limits, other initial shapes are tried
+_GOOD_OVERLAP, _UNSURE_M, _FITS_ALIKE = 0.9, 0.004, 4.0
 _FULL_OVERLAP = 0.97  # below it, with a middle line longer than the fit, a hook may be cut short
 _LEAST_SEEN = 6  # readings needed for these initial shapes
 # Tolerances of misfit and silhouette where most depth is missing: there a few wrong readings
@@ -260,9 +258,8 @@ _SPARSE_ALIKE, _SPARSE_BETTER = 0.1, 0.05
 _END_ON_DEG = 70.0
 _STEEP, _TOO_LONG_SD = 0.87, 3.0  # beyond 60 degrees, and too long for the girth
 PART_HIDDEN, _UNCERTAIN = 0.1, 0.05
-_SMOOTH_PX = (
-    2.5  # roughness of the outline; a detector's mask that fills the hollow of a bend has 5
-)
+# Roughness of the outline; a detector's mask that fills the hollow of a bend has 5
+_SMOOTH_PX = 2.5
 
 
 def measure_m6(

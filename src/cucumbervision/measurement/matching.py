@@ -30,10 +30,8 @@ SHARED = 0.5
 
 _TAIL, _TAIL_FACTOR = 0.1, 5.0  # share of position errors that are five times as large: unseen ends
 
-_UNSEEN_END, _UNSEEN_END_M = (
-    0.15,
-    0.05,
-)  # share of ends that are hidden without a flag, and their shift
+# Share of ends that are hidden without a flag, and their shift
+_UNSEEN_END, _UNSEEN_END_M = 0.15, 0.05
 
 
 @dataclass(frozen=True)

@@ -1,18 +1,20 @@
-"""Measure a fruit by every method, and choose one measurement with the reason."""
+"""Measure a fruit by every method, choose a measurement, and add a network's look at its ends."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
+from cucumbervision.instances.crops import EndCrop, EndLook, end_crop
 from cucumbervision.instances.instance import LEAST_END_CONFIDENCE, MaskSource
 from cucumbervision.instances.masks import mask_pixels, mask_window
 from cucumbervision.measurement.depth_doubts import depth_doubts
-from cucumbervision.measurement.flags import Flag
+from cucumbervision.measurement.flags import DOUBTFUL_END, Flag
 from cucumbervision.measurement.intervals import mask_features, with_interval
 from cucumbervision.measurement.methods import (
     AVAILABLE,
@@ -29,6 +31,7 @@ from cucumbervision.measurement.result import (
     Length,
     LengthDefinition,
     Measurement,
+    MethodName,
     Selector,
     calibration_key,
 )
@@ -43,6 +46,7 @@ if TYPE_CHECKING:
     from cucumbervision.instances.instance import Instance
     from cucumbervision.measurement.intervals import IntervalModels
     from cucumbervision.protocols import Method
+
 
 # Below the 0.50 of M4: the package's pose network gives lower visibility even to visible ends.
 _IN_SIGHT = 0.40
@@ -85,8 +89,8 @@ def end_flags(
     if keypoints is None or not (keypoints[:, 2] >= MIN_VISIBILITY).any():
         return ()
     reaches = _reaches(mask, keypoints[:, :2])
-    hidden, disagree = any(_hidden(keypoints, reaches)), any(reach > _BEYOND for reach in reaches)
-    named = {Flag.END_HIDDEN: hidden, Flag.ENDS_DISAGREE: disagree}
+    disagree = any(reach > _BEYOND for reach in reaches)
+    named = {Flag.END_HIDDEN: any(_hidden(keypoints, reaches)), Flag.ENDS_DISAGREE: disagree}
     return tuple(flag for flag, holds in named.items() if holds)
 
 
@@ -306,25 +310,14 @@ def measure_fruit(
     (0.2, True)
     """
     mask, source, flags = _mask_to_measure(instance, selector)
-    region = Region(
-        depth_m=capture.depth_m,
-        intrinsics=capture.intrinsics,
-        box=instance.box,
-        mask=mask,
-        keypoints=instance.keypoints,
-    )
+    region = Region(capture.depth_m, capture.intrinsics, instance.box, mask, instance.keypoints)
     method_of = {method if isinstance(method, str) else method.name: method for method in methods}
     measured = _measured(region, method_of, tube)
     turned = {name: stem_first(reading, instance, capture) for name, reading in measured.items()}
     measurements = {name: measurement for name, (measurement, _) in turned.items()}
     points = None if region.mask_points_m is None else len(region.mask_points_m)
-    chosen, choice, fallback = choose(
-        measurements,
-        points,
-        instance.box,
-        selector,
-        [method for method in method_of.values() if not isinstance(method, str)],
-    )
+    handed = [method for method in method_of.values() if not isinstance(method, str)]
+    chosen, choice, fallback = choose(measurements, points, instance.box, selector, handed)
     stem_confidence = 0.5 if chosen is None else turned[chosen.method][1]
     distance_m, fill = _depth_of(capture, instance.box, mask)
     if chosen is None:
@@ -332,18 +325,9 @@ def measure_fruit(
     flags += _flags(capture, instance, mask, chosen, stem_confidence)
     if any(measurement.error is not None for measurement in measurements.values()):
         flags.append(Flag.PLUGIN_FAILED)
-    pose = (
-        None
-        if chosen is None
-        else fruit_pose(
-            chosen,
-            stem_confidence,
-            hidden_ends(mask, instance.keypoints),
-            capture,
-            cut_beyond_m=cut_beyond_m,
-            scale_known=scale_known,
-        )
-    )
+    hidden = hidden_ends(mask, instance.keypoints)
+    place_pose = partial(fruit_pose, cut_beyond_m=cut_beyond_m, scale_known=scale_known)
+    pose = None if chosen is None else place_pose(chosen, stem_confidence, hidden, capture)
     fruit = Fruit(
         instance=instance,
         measurements=measurements,
@@ -375,7 +359,8 @@ def _flags(
         flags.extend(chosen.fit.flags)
     flags.extend(flag for flag in end_flags(mask, instance.keypoints) if flag not in flags)
     if mask is not None:
-        flags.extend(depth_doubts(capture.depth_m, mask, capture.intrinsics.fx_px))
+        focal_px = capture.intrinsics.fx_px
+        flags.extend(depth_doubts(capture.depth_m, mask, focal_px, capture.color))
     by_gravity = capture.gravity is not None and chosen is not None and chosen.path_m is not None
     sure = stem_confidence if by_gravity else instance.end_confidence
     if sure is not None and sure < LEAST_END_CONFIDENCE:
@@ -476,3 +461,104 @@ def _depth_of(
     valid = readings[valid_depth(readings)]
     distance_m = float(np.median(valid)) if valid.size else None
     return distance_m, (valid.size / readings.size if readings.size else None)
+
+
+LookAtEnds: TypeAlias = Callable[[Sequence[EndCrop]], list[EndLook]]
+"""Looks at many crops in one batch, as `EndLooker.look`."""
+
+DOUBTFUL = 0.3
+"""Probability from which an end that may go on out of sight is named."""
+
+_DRAWN = (MaskSource.DETECTOR, MaskSource.SAM, MaskSource.SEGMENTER)
+
+
+def with_end_looks(
+    capture: Capture,
+    fruit: Sequence[Fruit],
+    look: LookAtEnds,
+    definition: LengthDefinition = LengthDefinition.CENTRELINE,
+    *,
+    scale_known: bool = False,
+    models: IntervalModels | None = None,
+) -> list[Fruit]:
+    """Return the fruit of a capture with the evaluation of their ends, computed in one batch.
+
+    Intervals are computed again. A fruit whose end may continue out of sight is flagged with the
+    position of that end in the picture, unless it has another flag for a lower bound.
+
+    Parameters
+    ----------
+    capture : Capture
+        The frame.
+    fruit : sequence of Fruit
+        Fruit without M6, or with masks that no network drew, are returned unchanged.
+    look : callable
+        Evaluates crops of ends.
+    definition : LengthDefinition
+        Definition of length, as for `measure_fruit`.
+    scale_known : bool
+        Whether the camera's depth scale is known, as for `measure_fruit`.
+    models : IntervalModels, optional
+        Interval models; by default those of the package.
+    """
+    tubes = {k: tube for k, measured in enumerate(fruit) if (tube := _tube(measured)) is not None}
+    if not tubes:
+        return list(fruit)
+    crops = [
+        end_crop(
+            capture.color, capture.depth_m, mask, capture.intrinsics, line, traits.diameter_max_m
+        )
+        for k, tube in tubes.items()
+        if (mask := fruit[k].mask) is not None and tube.fit is not None
+        for traits in (tube.fit.traits,)
+        for line in (traits.axis_m, traits.axis_m[::-1])
+    ]
+    looks = look(crops)
+    pairs = dict(zip(tubes, zip(looks[::2], looks[1::2], strict=True), strict=True))
+    measure_again = partial(
+        with_length, definition=definition, scale_known=scale_known, models=models
+    )
+    return [
+        measure_again(_looked_at(capture, measured, tubes[k], pairs[k])) if k in tubes else measured
+        for k, measured in enumerate(fruit)
+    ]
+
+
+def _tube(fruit: Fruit) -> Measurement | None:
+    tube, drawn = fruit.measurements.get(MethodName.M6), fruit.mask_source in _DRAWN
+    return tube if tube is not None and tube.fit is not None and drawn else None
+
+
+def _looked_at(
+    capture: Capture, fruit: Fruit, tube: Measurement, looks: tuple[EndLook, EndLook]
+) -> Fruit:
+    if tube.fit is None:
+        return fruit
+    looked_at = replace(tube, fit=replace(tube.fit, looks=looks))
+    selected = looked_at if fruit.selected is tube else fruit.selected
+    measurements = {**fruit.measurements, MethodName.M6: looked_at}
+    fruit = replace(fruit, measurements=measurements, selected=selected)
+    fruit = fruit.unflagged(Flag.INTERVAL_TOO_WIDE)
+    if fruit.at_least or selected is not looked_at:
+        return fruit
+    ends_px = capture.intrinsics.project(tube.fit.traits.axis_m[[0, -1]])
+    doubtful = [
+        end_flag(ends_px[k] - ends_px[1 - k])
+        for k, look in enumerate(looks)
+        if look.covered >= DOUBTFUL
+    ]
+    return fruit.flagged(*doubtful)
+
+
+def end_flag(outward_px: NDArray[np.float64]) -> Flag:
+    """Return the flag of a doubtful end by its outward direction in the picture.
+
+    Examples
+    --------
+    >>> [str(end_flag(np.array(out))) for out in ([5.0, 40.0], [-30.0, 2.0])]
+    ['lower-end-doubtful', 'left-end-doubtful']
+    """
+    across, down = outward_px.tolist()
+    if abs(down) >= abs(across):
+        return DOUBTFUL_END["lower" if down > 0 else "upper"]
+    return DOUBTFUL_END["right" if across > 0 else "left"]

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 _MINUTE_S = 60.0
 _LEAVE_S = 5  # longest wait for open connections at the end
 _PORTS = {"http": 80, "https": 443}
-_NAME = re.compile(r"[\w.:-]{1,253}", re.A)
+_PLACE = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[\w.-]{1,253})(:\d{0,5})?", re.A)
 _CLOSED = {"Connection": "close"}  # what is left of the body is not read
 _TAIL_BYTES = 256  # a form's closing boundary, of 70 characters at most, and what may follow it
 
@@ -51,11 +51,10 @@ def parse_place(value: str, header: str = "Host") -> tuple[str, str, int | None]
         port = parts.port
     except ValueError:
         raise malformed from None
-    beside = parts.path or parts.query or parts.fragment or "@" in parts.netloc
-    named = _NAME.fullmatch(parts.hostname or "")
-    if beside or not named or port == 0 or (header == "Origin") != bool(parts.scheme):
+    beside = parts.path or parts.query or parts.fragment or not _PLACE.fullmatch(parts.netloc)
+    if beside or port == 0 or (header == "Origin") != bool(parts.scheme):
         raise malformed
-    return parts.scheme, named[0].lower(), port
+    return parts.scheme, str(parts.hostname), port
 
 
 def check_source(headers: Headers, *, method: str = "GET", local: bool = False) -> None:

@@ -22,8 +22,7 @@ from cucumbervision.pipeline.fields import FIELDS, Field, fruit_row, row_model
 from cucumbervision.pipeline.measurer import Failure, Measurer
 from cucumbervision.pipeline.options import MeasureOptions
 from cucumbervision.streaming.sources import ahead
-from cucumbervision.streaming.track_lengths import TrackLength, same_place
-from cucumbervision.streaming.tracks import Sighting, Tracker, sighting_of
+from cucumbervision.streaming.tracks import Sighting, Tracker, TrackLength, same_place, sighting_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.agronomy.classes import NO_CLASS, possible_classes
+from cucumbervision.agronomy.grades import NO_CLASS, possible_classes
 from cucumbervision.errors import ForecastError
 from cucumbervision.measurement.result import INTERVAL_Z
 from cucumbervision_greenhouse.agronomy.length_draws import (

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.agronomy.classes import class_of
+from cucumbervision.agronomy.grades import class_of
 from cucumbervision.agronomy.profiles import TOO_LONG
 from cucumbervision_greenhouse.agronomy.forecast import natural_key
 

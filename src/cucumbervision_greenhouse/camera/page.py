@@ -1,8 +1,7 @@
 """Routes of the capture page: the page, its pictures, presses and news.
 
 The page is used while walking, where connections drop, so it is made of plain modules without
-Streamlit. News and pictures come by WebSocket: a browser opens only six other lasting connections,
-so a seventh page would never load.
+Streamlit, and asks for news and pictures again and again.
 """
 
 from __future__ import annotations
@@ -15,16 +14,16 @@ import streamlit as st
 from pydantic import Field, model_validator
 from starlette.exceptions import HTTPException
 from starlette.responses import FileResponse, Response
-from starlette.routing import Route, WebSocketRoute
+from starlette.routing import Route
 
 from cucumbervision.capture.frames import Stop
 from cucumbervision.errors import NameRefusedError
 from cucumbervision.names import LONGEST_NAME
 from cucumbervision.pipeline.overlay import as_jpeg
-from cucumbervision_greenhouse import resources, tasks
-from cucumbervision_greenhouse.answers import Key, Sent, answer, news, store_of
+from cucumbervision_greenhouse import resources, round_caches, tasks
+from cucumbervision_greenhouse.answers import Key, Sent, answer, store_of
 from cucumbervision_greenhouse.camera import cameras, state
-from cucumbervision_greenhouse.camera.preview import preview
+from cucumbervision_greenhouse.camera.preview import newest
 from cucumbervision_greenhouse.camera.shutter import Press, Shutter
 from cucumbervision_greenhouse.core_words import words_of
 from cucumbervision_greenhouse.fruit_pictures import PICTURE_FILES
@@ -197,6 +196,18 @@ def _retry(request: Request, content: bytes) -> Any:  # noqa: ARG001
 
 
 @answer
+def _news(request: Request, _: bytes) -> Any:
+    return round_caches.news(request.query_params.get("round", ""))
+
+
+@answer
+def _preview(request: Request, _: bytes) -> Any:
+    asked = request.query_params
+    picture = newest(asked.get("source", "camera"), asked.get("shown", ""))
+    return Response(picture, 200 if picture else 204, {"cache-control": "no-store"})
+
+
+@answer
 def _picture(request: Request, _: bytes) -> Any:
     stop, name = request.path_params["stop"], request.path_params["capture"]
     taken = {capture.name: capture for capture in resources.store().stop(stop).captures}.get(name)
@@ -235,7 +246,7 @@ async def _static(request: Request) -> Response:
     return _file(request, path, {"service-worker-allowed": "/capture"})
 
 
-def routes() -> list[Route | WebSocketRoute]:
+def routes() -> list[Route]:
     """Return the routes of the capture page."""
     post = ["POST"]
     return [
@@ -250,6 +261,6 @@ def routes() -> list[Route | WebSocketRoute]:
         Route("/api/outline", _outline, methods=post),
         Route("/api/camera", _retry, methods=post),
         Route("/api/picture/{stop}/{capture:path}", _picture),
-        WebSocketRoute("/api/preview", preview),
-        WebSocketRoute("/api/news", news),
+        Route("/api/preview", _preview),
+        Route("/api/news", _news),
     ]

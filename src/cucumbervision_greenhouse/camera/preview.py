@@ -1,4 +1,4 @@
-"""The camera's pictures by WebSocket: the next one once the last was shown, if it differs."""
+"""The camera's newest picture as the capture page asks for it."""
 
 from __future__ import annotations
 
@@ -7,23 +7,16 @@ import struct
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
-import cv2
-import numpy as np
-
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.pipeline.overlay import as_jpeg
 from cucumbervision_greenhouse import resources
-from cucumbervision_greenhouse.answers import send_changes
 from cucumbervision_greenhouse.camera import cameras
 from cucumbervision_greenhouse.core_words import words_of
 from cucumbervision_greenhouse.fruit_pictures import depth_picture, scale_bar
-from cucumbervision_greenhouse.language import ask_for, language, marked
 from cucumbervision_greenhouse.language import gettext as _
+from cucumbervision_greenhouse.language import language, marked
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-    from starlette.websockets import WebSocket
-
     from cucumbervision_greenhouse.camera.cameras import Preview
 
 
@@ -41,55 +34,22 @@ _PREVIEW_PX = 640
 _STILL_PX, _STILL_LEVELS = (64, 36), 3  # blocks of this size average a camera's noise
 
 
-async def preview(socket: WebSocket) -> None:
-    """Send a feed's pictures, each once the last one was shown, and only if it differs."""
-    kind: Any = "replay" if socket.query_params.get("source") == "replay" else "camera"
-    sent = Shown()
-    ask_for(socket.headers.get("accept-language"))
+def newest(source: str, shown: str) -> bytes:
+    """Return the newest picture of a source as `encoded`; nothing if it is the one shown already.
 
-    def look() -> bytes | None:
-        try:
-            preview_now = cameras.feed(kind).preview()
-        except CucumberVisionError as error:
-            return (
-                _framed({"state": "absent", "message": words_of(error)}) if sent.fails() else None
-            )
-        return encoded(preview_now, language()) if sent.changes(preview_now) else None
-
-    await send_changes(socket, look, _LOOK_S)
-
-
-class Shown:
-    """The last picture that a viewer saw, to detect changes."""
-
-    def __init__(self) -> None:
-        self._state: tuple[object, ...] = ()
-        self._small: NDArray[np.uint8] | None = None
-
-    def fails(self) -> bool:
-        """Return whether the absence of a picture has not been sent yet."""
-        before, self._state = self._state, ("failed",)
-        return before != self._state
-
-    def changes(self, preview: Preview) -> bool:
-        """Return whether a picture differs from the one before by more than a camera's noise."""
-        words = None if preview.quality is None else preview.quality.advice
-        state = preview.state, words, preview.message
-        if preview.capture is None:
-            changed = state != self._state
-        else:
-            size = _STILL_PX
-            small = cv2.resize(preview.capture.color[::4, ::4], size, interpolation=cv2.INTER_AREA)
-            before, changed = self._small, state != self._state
-            if before is None or before.shape != small.shape:
-                changed = True
-            elif not changed:
-                levels = np.abs(small.astype(np.int16) - before.astype(np.int16)).max()
-                changed = int(levels) > _STILL_LEVELS
-            if changed:
-                self._small = np.asarray(small, np.uint8)
-        self._state = state
-        return changed
+    Parameters
+    ----------
+    source : str
+        'camera' or 'replay'.
+    shown : str
+        The number of the picture that a page shows; empty for none.
+    """
+    try:
+        preview = cameras.feed(source).preview()
+    except CucumberVisionError as error:
+        header = {"state": "absent", "message": words_of(error), "number": "fault"}
+        return b"" if shown == "fault" else _framed(header)
+    return b"" if shown == str(preview.number) else encoded(preview, language())
 
 
 @lru_cache(maxsize=4)  # encoded once for all viewers
@@ -98,7 +58,11 @@ def encoded(preview: Preview, _language: str = "en") -> bytes:
 
     Two JPEGs follow the header where there is a picture; it gives the first one's length.
     """
-    header: dict[str, Any] = {"state": preview.state, "message": words_of(preview.message)}
+    header: dict[str, Any] = {
+        "state": preview.state,
+        "message": words_of(preview.message),
+        "number": preview.number,
+    }
     capture, quality = preview.capture, preview.quality
     if capture is None:
         return _framed(header)

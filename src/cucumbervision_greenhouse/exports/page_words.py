@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from cucumbervision.agronomy.classes import WITHOUT_CLASS
+from cucumbervision.agronomy.grades import WITHOUT_CLASS
 from cucumbervision_greenhouse.agronomy.picking import hours_words
 
 

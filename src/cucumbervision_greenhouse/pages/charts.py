@@ -14,7 +14,7 @@ import pyarrow as pa
 import streamlit as st
 from altair.utils.schemapi import disable_debug_mode
 
-from cucumbervision.agronomy.classes import class_name
+from cucumbervision.agronomy.grades import class_name
 from cucumbervision_greenhouse.fruit_pictures import CLASS_GREENS, OTHER_COLORS
 from cucumbervision_greenhouse.language import date_names, day_month_words
 from cucumbervision_greenhouse.language import gettext as _

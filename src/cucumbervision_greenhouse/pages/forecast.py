@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import streamlit as st
 
-from cucumbervision.agronomy.classes import UNDECIDED, class_of
+from cucumbervision.agronomy.grades import UNDECIDED, class_of
 from cucumbervision_greenhouse import resources, round_caches
 from cucumbervision_greenhouse.agronomy.forecast import Forecast
 from cucumbervision_greenhouse.agronomy.picking import Span, plan_work

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.agronomy.classes import class_of
-from cucumbervision.agronomy.grades import grade
+from cucumbervision.agronomy.grades import class_of, grade
 from cucumbervision.errors import ForecastError
 from cucumbervision.measurement.intervals import SCALE_SD
 from cucumbervision.measurement.result import UNKNOWN_SD

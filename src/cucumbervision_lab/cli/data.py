@@ -299,20 +299,12 @@ def synth(
 ) -> None:
     """Generate synthetic cucumbers with colour, depth, masks, keypoints and lengths."""
     from cucumbervision_lab.cli.screen import show, ticking
-    from cucumbervision_lab.synthesis.generate import generate, parse_options
+    from cucumbervision_lab.datasets.splits import parse_shares
+    from cucumbervision_lab.synthesis.frame import FrameOptions
+    from cucumbervision_lab.synthesis.generate import SynthOptions, generate, parse_size
 
-    options = parse_options(
-        frames=frames,
-        seed=seed,
-        size=size,
-        assets=assets,
-        paste=paste,
-        onto=onto,
-        depth=depth,
-        hard=hard,
-        shares=shares,
-        split=split,
-    )
+    frame = FrameOptions(*parse_size(size), parse_shares(shares, ","), depth, hard=hard)
+    options = SynthOptions(frames, seed, frame, assets, split, paste, onto)
     with ticking("drawing", options.frames) as tick:
         data = generate(options, out, workers, tick)
     show(_contents(data, out))

@@ -130,7 +130,7 @@ def benchmark(
     Includes the paper's 48 captures and five validation fruit with exact, disturbed and perceived
     masks, and a stress set: tilted, bent, occluded, distant, wet and sunlit fruit.
     """
-    from cucumbervision_lab.benchmark.records import require_extra
+    from cucumbervision_lab.benchmark.measure_case import require_extra
 
     require_extra()  # before an hour of measuring
     from cucumbervision_lab.benchmark import run

@@ -276,7 +276,7 @@ def average(
 ) -> None:
     """Average two checkpoints, which reduces forgetting after fine-tuning."""
     from cucumbervision_lab.cli.screen import show
-    from cucumbervision_lab.training.networks import average_networks
+    from cucumbervision_lab.training.train import average_networks
 
     show(average_networks(first, second, out, share))
 

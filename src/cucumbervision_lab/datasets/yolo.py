@@ -49,28 +49,6 @@ _KEYPOINTS = 5
 _GREY = 114
 
 
-@dataclass(frozen=True)
-class _YoloFolder:
-    """Contents of a YOLO folder, without labels.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder that file names are relative to.
-    names : tuple of str
-        Class names.
-    pictures : tuple of (Path, str)
-        Pictures and their splits.
-    keypoints : tuple of int
-        `kpt_shape`: number of keypoints, and of values per keypoint.
-    """
-
-    folder: Path
-    names: tuple[str, ...]
-    pictures: tuple[tuple[Path, str], ...]
-    keypoints: tuple[int, int] = (0, 0)
-
-
 def read_yolo(path: Path, names: Sequence[str] = ()) -> DataSet:
     """Read a YOLO data set with boxes, polygons or keypoints.
 
@@ -104,82 +82,63 @@ def read_yolo(path: Path, names: Sequence[str] = ()) -> DataSet:
     ...     read_yolo(Path(tmp), ["cucumber"]).pictures[0].labels[0].box.tolist()
     [19.5, 14.5, 59.5, 44.5]
     """
-    layout = _find(path, names)
-    origins = _origins(layout.folder)
-    pictures: list[LabelledPicture] = []
-    refused: list[CucumberVisionError] = []
-    for file, split in layout.pictures:
-        name = file.relative_to(layout.folder).as_posix()
-        try:
-            width, height = picture_size(file)
-        except CucumberVisionError as error:
-            refused.append(error)
-            continue
-        labels, bad = _read_labels(label_file(file), layout, width, height)
-        refused.extend(bad)
-        origin = origins.get(name, {})
-        pictures.append(LabelledPicture(name, width, height, labels, split=split, **origin))
-    return DataSet(layout.folder, tuple(pictures), layout.names, refused=tuple(refused))
-
-
-def _find(path: Path, names: Sequence[str] = ()) -> _YoloFolder:
-    """Find the pictures, splits and classes of a YOLO set without reading labels.
-
-    Raises
-    ------
-    DataSetError
-        If there are no pictures or no class names.
-    """
-    yaml = path if path.is_file() else path / "data.yaml"
-    folder = yaml.parent.resolve()
-    data = load_data_yaml(yaml) if yaml.is_file() else {}
-    with wrap_reader_errors(yaml, DataSetError, "correct it"):
-        return _found(path, folder, yaml, data, list(names) or class_names(data.get("names"), yaml))
-
-
-def _found(
-    path: Path, folder: Path, yaml: Path, data: dict[str, Any], named: list[str]
-) -> _YoloFolder:
-    if not named:
+    file = path if path.is_file() else path / "data.yaml"
+    folder = file.parent.resolve()
+    data = _data_of(file) if file.is_file() else {}
+    with wrap_reader_errors(file, DataSetError, "correct it"):
+        categories = tuple(names) or _class_names(data.get("names"))
+        files = _listed(data, folder) or _pictures_in_images(folder)
+        points, numbers = data.get("kpt_shape") or (0, 0)
+    if not categories:
         raise DataSetError("no class names", source=path, remedy="add data.yaml or give --names")
-    pictures = _listed(data, folder) or _pictures_in_images(folder)
-    if not pictures:
+    if not files:
         raise DataSetError(
             "contains no pictures in images/",
             source=path,
             remedy="give the folder of a YOLO data set",
         )
-    shape = data.get("kpt_shape")
-    if shape is not None and (len(shape) != 2 or shape[0] != _KEYPOINTS or shape[1] not in (2, 3)):
+    if (points, numbers) not in ((0, 0), (_KEYPOINTS, 2), (_KEYPOINTS, 3)):
         raise DataSetError(
-            f"kpt_shape is {shape}, expected [5, 3] or [5, 2]",
-            source=yaml,
+            f"kpt_shape is {[points, numbers]}, expected [5, 3] or [5, 2]",
+            source=file,
             remedy="label five keypoints from blossom end to stem end",
         )
-    return _YoloFolder(folder, tuple(named), tuple(pictures), tuple(shape or (0, 0)))
+    origins = _origins(folder)
+    pictures: list[LabelledPicture] = []
+    refused: list[CucumberVisionError] = []
+    for picture, split in files:
+        name, labels = picture.relative_to(folder).as_posix(), _label_file(picture)
+        try:
+            width, height = picture_size(picture)
+        except CucumberVisionError as error:
+            refused.append(error)
+            continue
+        found: tuple[Label, ...] = ()
+        try:
+            if not labels.exists():
+                raise InstancesError(
+                    "the label file is missing",
+                    source=labels,
+                    remedy="create an empty file if the picture shows no fruit",
+                )
+            image = read_yolo_file(labels, categories, (points, numbers))
+            found, bad = labels_of(image, width, height, categories, labels)
+            refused += bad
+        except InstancesError as error:
+            refused.append(error)
+        origin = origins.get(name, {})
+        pictures.append(LabelledPicture(name, width, height, found, split=split, **origin))
+    return DataSet(folder, tuple(pictures), categories, refused=tuple(refused))
 
 
-def load_data_yaml(path: Path) -> dict[str, Any]:
-    """Read a `data.yaml`.
-
-    Raises
-    ------
-    DataSetError
-        If the file is not valid YAML or does not describe a data set.
-    """
+def _data_of(path: Path) -> dict[str, Any]:
+    """Read a `data.yaml`."""
     with wrap_reader_errors(path, DataSetError, "correct it"):
         text = read_bytes(path)
-        try:
-            # Nested aliases can expand to exponential size.
-            if any(isinstance(token, yaml.AliasToken) for token in yaml.scan(text)):
-                raise DataSetError(
-                    "contains YAML aliases", source=path, remedy="replace them by their values"
-                )
-            data = yaml.safe_load(text)
-        except yaml.YAMLError as error:
-            raise DataSetError(
-                f"is not valid YAML ({error})", source=path, remedy="correct it"
-            ) from None
+        # Nested aliases can expand to exponential size.
+        if any(isinstance(token, yaml.AliasToken) for token in yaml.scan(text)):
+            raise ValueError("it has aliases")
+        data = yaml.safe_load(text)
     if not isinstance(data, dict):
         raise DataSetError(
             "does not describe a data set", source=path, remedy="add train, val and names"
@@ -187,26 +146,13 @@ def load_data_yaml(path: Path) -> dict[str, Any]:
     return data
 
 
-def class_names(names: Any, yaml: Path) -> list[str]:
-    """Return the class names of a `data.yaml`, a list or a mapping from index to name.
-
-    Raises
-    ------
-    DataSetError
-        If the indices of a mapping are not consecutive from 0.
-
-    Examples
-    --------
-    >>> class_names({1: "leaf", 0: "cucumber"}, Path("data.yaml")), class_names(None, Path())
-    (['cucumber', 'leaf'], [])
-    """
+def _class_names(names: Any) -> tuple[str, ...]:
+    """Return the class names of a `data.yaml`, a list or a mapping from index to name."""
     if isinstance(names, dict):
         if sorted(names) != list(range(len(names))):
-            raise DataSetError(
-                "class indices are not consecutive from 0", source=yaml, remedy="correct them"
-            )
-        return [str(names[k]) for k in range(len(names))]
-    return [str(name) for name in names or []]
+            raise ValueError("its class indices are not consecutive from 0")
+        names = [names[k] for k in range(len(names))]
+    return tuple(map(str, names or ()))
 
 
 def _listed(data: Mapping[str, Any], folder: Path) -> list[tuple[Path, str]]:
@@ -249,25 +195,16 @@ def _pictures_in_images(folder: Path) -> list[tuple[Path, str]]:
     return files
 
 
-def label_file(picture: Path) -> Path:
+def _label_file(picture: Path) -> Path:
     """Return the label file of a picture by Ultralytics' convention.
-
-    Parameters
-    ----------
-    picture : Path
-        Picture below a folder `images`.
 
     Examples
     --------
-    >>> label_file(Path("set/images/train/a.jpg")).as_posix()
+    >>> _label_file(Path("set/images/train/a.jpg")).as_posix()
     'set/labels/train/a.txt'
     """
-    parts = list(picture.parts)
-    for k in range(len(parts) - 2, -1, -1):
-        if parts[k] == "images":
-            parts[k] = "labels"
-            break
-    return Path(*parts).with_suffix(".txt")
+    head, _, tail = picture.as_posix().rpartition("/images/")
+    return (Path(head) / "labels" / tail if head else picture).with_suffix(".txt")
 
 
 def _origins(folder: Path) -> dict[str, dict[str, Any]]:
@@ -277,22 +214,6 @@ def _origins(folder: Path) -> dict[str, dict[str, Any]]:
         raise DataSetError("is not a JSON object of pictures", source=file, remedy="delete it")
     keys = ("scene", "source", "licence")
     return {name: {k: str(v[k]) for k in keys if v.get(k)} for name, v in data.items()}
-
-
-def _read_labels(
-    file: Path, layout: _YoloFolder, width: int, height: int
-) -> tuple[tuple[Label, ...], list[InstancesError]]:
-    try:
-        if not file.exists():
-            raise InstancesError(
-                "the label file is missing",
-                source=file,
-                remedy="create an empty file if the picture shows no fruit",
-            )
-        image = read_yolo_file(file, layout.names, layout.keypoints)
-    except InstancesError as error:
-        return (), [error]
-    return labels_of(image, width, height, layout.names, file)
 
 
 TASKS = ("segment", "pose", "detect")

@@ -17,13 +17,14 @@ from cucumbervision.accuracy.table import Cell, ReportTable
 from cucumbervision.files import write_csv
 from cucumbervision.instances.instance import LEAST_END_CONFIDENCE
 from cucumbervision.measurement.result import LengthDefinition
-from cucumbervision_lab.benchmark.length_tables import (
+from cucumbervision_lab.benchmark.measure_case import Masks
+from cucumbervision_lab.benchmark.report import (
     accuracy_table,
     comparable_readings,
     group_tables,
+    write_tables,
+    writing_report,
 )
-from cucumbervision_lab.benchmark.records import Masks
-from cucumbervision_lab.benchmark.report import write_tables, writing_report
 from cucumbervision_lab.detection.outcomes import (
     OKS_SIGMA,
     AveragePrecision,

@@ -22,21 +22,23 @@ from cucumbervision.measurement.selector import measure_fruit
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
 from cucumbervision.perception.registry import load_registry
 from cucumbervision_lab.benchmark.cases import stress_cases
-from cucumbervision_lab.benchmark.interval_fit import write_interval_models
 from cucumbervision_lab.benchmark.measure_case import (
     READ,
     CaseOptions,
-    fruit_lengths,
-    interval_details,
-)
-from cucumbervision_lab.benchmark.records import (
     LengthRecord,
     Masks,
     append_record,
+    fruit_lengths,
+    interval_details,
     read_records,
     readings_frame,
 )
-from cucumbervision_lab.benchmark.run import fit_interval_models, package_finder, run_cases
+from cucumbervision_lab.benchmark.run import (
+    fit_interval_models,
+    package_finder,
+    run_cases,
+    write_interval_models,
+)
 from cucumbervision_lab.datasets.labels import ticked
 from cucumbervision_lab.detection.outcomes import match_fruit
 from cucumbervision_lab.detection.picture_result import (
@@ -63,7 +65,7 @@ if TYPE_CHECKING:
     from cucumbervision.measurement.intervals import IntervalModels
     from cucumbervision.measurement.pose import FruitPose
     from cucumbervision.measurement.result import Fruit
-    from cucumbervision_lab.benchmark.records import LengthRecord
+    from cucumbervision_lab.benchmark.measure_case import LengthRecord
     from cucumbervision_lab.datasets.labels import DataSet, LabelledPicture
     from cucumbervision_lab.detection.pictures import Frame, TrueFruit
 

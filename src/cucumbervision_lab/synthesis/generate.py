@@ -20,7 +20,6 @@ from cucumbervision_lab.datasets.coco import (
     write_fragment,
 )
 from cucumbervision_lab.datasets.labels import Label, LabelledPicture, ticked
-from cucumbervision_lab.datasets.splits import parse_shares
 from cucumbervision_lab.processes import each_done
 from cucumbervision_lab.synthesis.appearance import load_assets
 from cucumbervision_lab.synthesis.frame import Frame, FrameOptions, draw_frame, extras_of
@@ -36,78 +35,30 @@ if TYPE_CHECKING:
 _SMALLEST_PX, _LARGEST_PX = 32, 4096
 
 
-def parse_options(
-    *,
-    frames: int,
-    seed: int,
-    size: str,
-    shares: str,
-    split: str,
-    assets: Path | None = None,
-    paste: Path | None = None,
-    onto: Path | None = None,
-    depth: bool = True,
-    hard: bool = False,
-) -> SynthOptions:
-    """Parse command-line options.
-
-    Parameters
-    ----------
-    frames, seed, depth, hard : int, int, bool, bool
-        See `SynthOptions` and `FrameOptions`.
-    size : str
-        Width x height in pixels, as in '1280x720'.
-    shares : str
-        Weights of hanging, bench and crate scenes, as in '0.6,0.22,0.18'.
-    split : str
-        '', 'train', 'val' or 'test'.
-    assets : Path, optional
-        Folder of picture assets.
-    paste : Path, optional
-        Folder of a set with masks whose fruit are pasted onto photos.
-    onto : Path, optional
-        Folder of a set whose pictures without fruit replace the synthetic frames.
+def parse_size(text: str) -> tuple[int, int]:
+    """Parse width x height in pixels.
 
     Raises
     ------
     DataSetError
-        If an option is invalid.
+        If the text has another form, or a side is out of range.
 
     Examples
     --------
-    >>> options = parse_options(frames=3, seed=1, size="640x360", shares="1,0,0", split="")
-    >>> options.frame.width, options.frame.shares
-    (640, (1.0, 0.0, 0.0))
+    >>> parse_size("640x360")
+    (640, 360)
     """
     try:
-        width, height = (int(part) for part in size.lower().split("x"))
+        width, height = (int(part) for part in text.lower().split("x"))
     except ValueError:
         width = height = 0
     if not all(_SMALLEST_PX <= side <= _LARGEST_PX for side in (width, height)):
         raise DataSetError(
-            f"invalid size {size!r}",
+            f"invalid size {text!r}",
             source="--size",
             remedy=f"give WIDTHxHEIGHT, each from {_SMALLEST_PX} to {_LARGEST_PX} px",
         )
-    if split not in ("", "train", "val", "test"):
-        raise DataSetError(
-            f"unknown split {split!r}", source="--split", remedy="use train, val or test"
-        )
-    if (onto is None) != (paste is None) or (onto is not None and (depth or split != "train")):
-        raise DataSetError(
-            "montages are for training only, and have no depth",
-            source="--paste and --onto",
-            remedy="give both, and add --no-depth --split train",
-        )
-    return SynthOptions(
-        frames=frames,
-        seed=seed,
-        frame=FrameOptions(width, height, parse_shares(shares, ","), depth, hard=hard),
-        assets=str(assets.resolve()) if assets else "",
-        split=split,
-        paste=str(paste.resolve()) if paste else "",
-        onto=str(onto.resolve()) if onto else "",
-    )
+    return width, height
 
 
 _MANIFEST = "synth.json"
@@ -140,24 +91,43 @@ class SynthOptions:
         Random seed.
     frame : FrameOptions
         Size, settings and depth of every frame.
-    assets : str
-        Folder of picture assets; empty for none.
+    assets : Path, optional
+        Folder of picture assets.
     split : str
         'train', 'val' or 'test' for all frames; empty for 70:15:15.
-    paste : str
-        Folder of a set with masks whose fruit are pasted onto photos; empty for none.
-    onto : str
-        Folder of a labelled set whose pictures without fruit replace the synthetic frames; empty
-        for none. Only the size of `frame` is then used.
+    paste : Path, optional
+        Folder of a set with masks whose fruit are pasted onto photos.
+    onto : Path, optional
+        Folder of a labelled set whose pictures without fruit replace the synthetic frames. Only the
+        size of `frame` is then used.
+
+    Raises
+    ------
+    DataSetError
+        If options do not go together.
     """
 
     frames: int = 1500
     seed: int = 1
     frame: FrameOptions = field(default_factory=FrameOptions)
-    assets: str = ""
+    assets: Path | None = None
     split: str = ""
-    paste: str = ""
-    onto: str = ""
+    paste: Path | None = None
+    onto: Path | None = None
+
+    def __post_init__(self) -> None:
+        if self.split not in ("", "train", "val", "test"):
+            raise DataSetError(
+                f"unknown split {self.split!r}", source="--split", remedy="use train, val or test"
+            )
+        is_montage = self.paste is not None or self.onto is not None
+        whole = self.paste is not None and self.onto is not None and self.split == "train"
+        if is_montage and (self.frame.depth or not whole):
+            raise DataSetError(
+                "montages are for training only, and have no depth",
+                source="--paste and --onto",
+                remedy="give both, and add --no-depth --split train",
+            )
 
 
 def generate(
@@ -206,7 +176,8 @@ def generate(
 
 def _check_options(options: SynthOptions, out: Path) -> None:
     """Write the options to the folder, or check that they match the existing ones."""
-    folders = {key: Path(getattr(options, key)).name for key in ("assets", "paste", "onto")}
+    paths = {key: getattr(options, key) for key in ("assets", "paste", "onto")}
+    folders = {key: "" if path is None else path.resolve().name for key, path in paths.items()}
     record = json.loads(json.dumps(asdict(options) | {"frames": None} | folders))
     file = out / _MANIFEST
     try:
@@ -230,19 +201,19 @@ def _check_options(options: SynthOptions, out: Path) -> None:
 
 
 @lru_cache(maxsize=1)
-def _assets(folder: str) -> Assets:
-    return load_assets(Path(folder) if folder else None)
+def _assets(folder: Path | None) -> Assets:
+    return load_assets(folder)
 
 
 @lru_cache(maxsize=1)
-def _cutouts(folder: str) -> tuple[Cutout, ...]:
-    return cutouts_of(read_coco(Path(folder)))
+def _cutouts(folder: Path) -> tuple[Cutout, ...]:
+    return cutouts_of(read_coco(folder))
 
 
 @lru_cache(maxsize=1)
-def _grounds(folder: str) -> tuple[tuple[tuple[LabelledPicture, Path], ...], ...]:
+def _grounds(folder: Path) -> tuple[tuple[tuple[LabelledPicture, Path], ...], ...]:
     """Return the photos for montages grouped by source, so that every source has equal weight."""
-    data = read_coco(Path(folder))
+    data = read_coco(folder)
     grounds = [p for p in data.in_split("train") if fruitless(p)]
     if not grounds:
         raise DataSetError(
@@ -256,14 +227,14 @@ def _grounds(folder: str) -> tuple[tuple[tuple[LabelledPicture, Path], ...], ...
     )
 
 
-def _paste_onto(options: SynthOptions, out: Path, index: int) -> None:
+def _paste_onto(options: SynthOptions, onto: Path, paste: Path, out: Path, index: int) -> None:
     """Write a montage of fruit on a photo instead of a synthetic frame."""
     rng = np.random.default_rng([options.seed, index, 2])
-    grounds = _grounds(options.onto)
+    grounds = _grounds(onto)
     of_one_source = grounds[int(rng.integers(len(grounds)))]
     ground, path = of_one_source[int(rng.integers(len(of_one_source)))]
     size = options.frame.width, options.frame.height
-    color, labels = montage(read_color(path), size, _cutouts(options.paste), rng)
+    color, labels = montage(read_color(path), size, _cutouts(paste), rng)
     name = f"{index:06d}"
     picture = LabelledPicture(
         f"images/{name}.jpg",
@@ -279,8 +250,8 @@ def _paste_onto(options: SynthOptions, out: Path, index: int) -> None:
 
 
 def _draw(options: SynthOptions, out: Path, index: int) -> None:
-    if options.onto:
-        _paste_onto(options, out, index)
+    if options.onto is not None and options.paste is not None:
+        _paste_onto(options, options.onto, options.paste, out, index)
         return
     frame = draw_frame(options.seed, index, options.frame, _assets(options.assets))
     name = f"{index:06d}"

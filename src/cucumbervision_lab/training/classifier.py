@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from cucumbervision.perception.registry import file_sha256
 from cucumbervision_lab.training.export import MAKERS, ModelCard, halve_storage, write_card
-from cucumbervision_lab.training.networks import allowed_threads, import_ultralytics, load_yolo
+from cucumbervision_lab.training.train import allowed_threads, import_ultralytics, load_yolo
 
 CHANNELS = 128
 """Channels of `first_layers`."""

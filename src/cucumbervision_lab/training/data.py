@@ -20,7 +20,7 @@ from cucumbervision_lab.datasets.derive import add_pseudo_masks
 from cucumbervision_lab.datasets.labels import KEYPOINT_ORDER, DataSet, Label, LabelledPicture
 from cucumbervision_lab.datasets.polygons import DIRECTIONS, keypoints_of_mask
 from cucumbervision_lab.datasets.yolo import write_yolo
-from cucumbervision_lab.detection.photo_audit import audited
+from cucumbervision_lab.detection.photos import audited
 from cucumbervision_lab.synthesis.colors import d435_colors
 
 TASKS = {"seg": "segment", "pose": "pose"}

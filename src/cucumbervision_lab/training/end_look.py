@@ -21,7 +21,7 @@ from cucumbervision.measurement.intervals import (
     shipped_interval_models,
 )
 from cucumbervision.perception.looks import ERROR_SCALE, STATES, EndLooker, looked_at
-from cucumbervision_lab.benchmark.interval_fit import (
+from cucumbervision_lab.benchmark.run import (
     TUBE_FEATURES,
     fit_interval_model,
     write_interval_models,
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from cucumbervision.instances.crops import EndLook
-    from cucumbervision.measurement.end_looks import LookAtEnds
+    from cucumbervision.measurement.selector import LookAtEnds
     from cucumbervision_lab.training.end_crops import EndCrops
     from cucumbervision_lab.training.measured_ends import MeasuredFruit
 
@@ -284,7 +284,6 @@ SMALLEST_GROUP = 100
 LEAST_FRUIT = 60
 """Fruit without which no intervals are learnt."""
 
-_AT_ONCE = 256  # crops
 _KEYS = ("M6", "M6 thread", "M6 chord")
 
 

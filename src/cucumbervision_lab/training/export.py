@@ -30,8 +30,7 @@ from cucumbervision.perception.confidence import DETECTOR_SIZES_PX
 from cucumbervision.perception.registry import file_sha256
 from cucumbervision.perception.yolo_layout import ONE_TO_ONE_KEY, ORDER_KEY, SIZES_KEY
 from cucumbervision_lab.training.data import DATA_CARD, TASKS
-from cucumbervision_lab.training.networks import import_ultralytics, load_yolo
-from cucumbervision_lab.training.train import BEGUN, NETWORK
+from cucumbervision_lab.training.train import BEGUN, NETWORK, import_ultralytics, load_yolo
 
 if TYPE_CHECKING:
     import onnx

@@ -15,15 +15,15 @@ from typing import TYPE_CHECKING
 
 from cucumbervision.errors import TrainingError
 from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
-from cucumbervision.perception.own_networks import JUDGEMENT
-from cucumbervision.perception.registry import file_sha256, load_registry
+from cucumbervision.perception.registry import JUDGEMENT, file_sha256, load_registry
 from cucumbervision_lab.datasets.coco import ANNOTATIONS, read_coco
 from cucumbervision_lab.detection.outcomes import Score, detection_rows, fruit_rows, overall
 from cucumbervision_lab.detection.photos import audited_photos, evaluate_photos
 from cucumbervision_lab.detection.picture_result import detect_set, open_networks
 from cucumbervision_lab.detection.pictures import spread
 from cucumbervision_lab.detection.run import chosen_networks
-from cucumbervision_lab.synthesis.generate import generate, parse_options
+from cucumbervision_lab.synthesis.frame import FrameOptions
+from cucumbervision_lab.synthesis.generate import SynthOptions, generate
 from cucumbervision_lab.training.data import photo_set
 from cucumbervision_lab.training.export import export_trained, write_card
 from cucumbervision_lab.training.train import TrainOptions, train
@@ -206,14 +206,8 @@ def _compare(house: Path, out: Path, photos: Path | None, frames: int, workers: 
 
 
 def _drawn(folder: Path, frames: int, seed: int, split: str, workers: int) -> DataSet:
-    options = parse_options(
-        frames=frames,
-        seed=seed,
-        size="960x540",
-        shares="0.6,0.22,0.18",
-        split=split,
-        depth=False,
-    )
+    frame = FrameOptions(960, 540, depth=False)
+    options = SynthOptions(frames, seed, frame, split=split)
     return generate(options, folder, workers)
 
 

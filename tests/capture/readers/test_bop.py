@@ -1,11 +1,9 @@
 from __future__ import annotations
 
 import json
-import shutil
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 
@@ -74,18 +72,6 @@ def test_a_data_set_of_scenes(tmp_path: Path) -> None:
         make_scene(tmp_path / "set" / scene, images=(3,))
     names = [r.name for r in open_source(tmp_path / "set")]
     assert names == ["set_val_000001_000003", "set_val_000002_000003"]
-
-
-def test_jpeg_and_grey_scenes(tmp_path: Path) -> None:
-    scene = make_scene(tmp_path / "s", images=(1,))
-    (scene / "rgb/000001.png").unlink()
-    cv2.imwrite(str(scene / "rgb/000001.jpg"), np.full((*SHAPE, 3), 90, np.uint8))
-    (ref,) = open_source(scene)
-    assert ref.load().color.mean() == pytest.approx(90, abs=1)
-    # Older scenes have no masks at all.
-    shutil.rmtree(scene / "mask_visib")
-    (ref,) = open_source(scene)
-    assert ref.load().masks == ()
 
 
 def test_one_broken_image_loses_nothing_of_the_rest(tmp_path: Path) -> None:

@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 from tests.capsules import CAMERA, capsule_capture, lying
@@ -116,13 +115,6 @@ def test_depth_of_fewer_pixels_counts_where_it_is_said_to_be_aligned(tmp_path: P
     assert read.depth_m.shape == (720, 1280)
     assert read.doubts == (Doubt.DEPTH_RESAMPLED,)
     assert length_m(read, drawn) == pytest.approx(CAPSULE.length_m, rel=0.02)
-
-
-def test_depth_of_another_shape_is_refused_whatever_is_said(tmp_path: Path) -> None:
-    drawn = capsule_capture(CAPSULE)
-    folder = write_pair(tmp_path, drawn, cv2.resize(1000 * drawn.depth_m, (320, 240)))
-    with pytest.raises(CaptureError, match="320x240, colour 640x360"):
-        load(folder, aligned_to=Stream.COLOR)
 
 
 def test_a_scene_says_its_depth_by_option(tmp_path: Path) -> None:

@@ -89,19 +89,6 @@ def test_a_malformed_manifest_is_one_line(folder: Path, change: Edit, words: str
     assert "\n" not in str(caught.value)
 
 
-def test_sizes_must_agree(folder: Path) -> None:
-    write_png(folder / "depth_000000.png", np.full((48, 60), 500, np.uint16))
-    with pytest.raises(CaptureError, match=r"depth_000000\.png: depth is 60x48, colour 64x48"):
-        load(folder)
-
-
-def test_intrinsics_of_another_size(folder: Path) -> None:
-    edit(folder, lambda d: d["camera"].update(width=32, height=24))
-    # Scaled by height, f doubles: lengths would come out twice as long.
-    with pytest.raises(IntrinsicsError, match=r"32x24.*64x48.*\+100 %"):
-        load(folder)
-
-
 def test_intrinsics_of_the_depth_stream(folder: Path) -> None:
     edit(folder, lambda d: d["camera"].update(stream="depth"))
     with pytest.raises(IntrinsicsError, match=r"capture\.json: .*depth stream's"):
@@ -129,20 +116,6 @@ def test_depth_unit(folder: Path) -> None:
         load(folder)
 
 
-@pytest.mark.parametrize(
-    ("depth", "words"),
-    [
-        (np.zeros((48, 64), np.uint16), "every pixel is 0"),
-        (np.full((48, 64), 90, np.uint8), "8 bits"),
-        (np.full((48, 64, 3), 90, np.uint8), "colourised"),
-    ],
-)
-def test_depth_that_has_no_distances(folder: Path, depth: Any, words: str) -> None:
-    write_png(folder / "depth_000000.png", depth)
-    with pytest.raises(DepthError, match=words):
-        load(folder)
-
-
 def test_masks(folder: Path) -> None:
     path = folder / "mask_visib" / "000017_000001.png"
     write_png(path, np.zeros((48, 60), np.uint8))
@@ -151,13 +124,6 @@ def test_masks(folder: Path) -> None:
     path.rename(folder / "mask_visib" / "000018_000001.png")
     with pytest.raises(CaptureError, match="named for frame 000018, the capture is frame 17"):
         load(folder)
-
-
-def test_frames_of_a_burst_must_be_of_one_size(capture: Capture, tmp_path: Path) -> None:
-    small = (np.zeros((24, 32, 3), np.uint8), np.full((24, 32), 0.5, np.float32))
-    write_native(capture, tmp_path / "a", burst=[(capture.color, capture.depth_m), small])
-    with pytest.raises(CaptureError, match=r"a: a burst of 2 colour.*sizes 32x24, 64x48"):
-        load(tmp_path / "a")
 
 
 def test_depth_of_a_burst_may_be_tiff_or_npy(folder: Path, capture: Capture) -> None:

@@ -102,15 +102,3 @@ def test_a_folder_is_never_written_twice(capture: Capture, tmp_path: Path) -> No
     write_native(capture, tmp_path / "a")
     with pytest.raises(CaptureError, match="already holds a capture"):
         write_native(capture, tmp_path / "a")
-
-
-def test_a_file_in_the_way(capture: Capture, tmp_path: Path) -> None:
-    (tmp_path / "a").write_text("")
-    with pytest.raises(CaptureError, match=r"a: cannot be made"):
-        write_native(capture, tmp_path / "a")
-
-
-def test_numpy_in_provenance_is_written_as_numbers(capture: Capture, tmp_path: Path) -> None:
-    odd = {"gain": np.float32(1.5), "list": np.arange(3), "path": Path("x")}
-    write_native(replace(capture, provenance=odd), tmp_path / "a")
-    assert back(tmp_path / "a").provenance == {"gain": 1.5, "list": [0, 1, 2], "path": "x"}

@@ -54,16 +54,6 @@ def test_two_files(name: str, depth: Any, tmp_path: Path, intrinsics: Path) -> N
     assert (capture.name, capture.intrinsics.fx_px) == ("c", 60)
 
 
-def test_nan_in_float_depth_is_no_reading(tmp_path: Path, intrinsics: Path) -> None:
-    write_png(tmp_path / "c.png", COLOR)
-    depth = np.full((48, 64), 0.45, np.float32)
-    depth[:24] = np.nan
-    np.save(tmp_path / "d.npy", depth)
-    capture = load(tmp_path / "c.png", depth=tmp_path / "d.npy", intrinsics=intrinsics)
-    assert capture.fill == 0.5
-    assert np.unique(capture.depth_m).tolist() == [0.0, np.float32(0.45)]
-
-
 @pytest.mark.parametrize(
     ("depth", "unit_m", "words"),
     [

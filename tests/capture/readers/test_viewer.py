@@ -138,15 +138,6 @@ def test_bad_tables(table: dict[str, Any], words: str, tmp_path: Path) -> None:
         ref.load()
 
 
-def test_table_without_intrinsics(tmp_path: Path) -> None:
-    folder = export(tmp_path / "v")
-    path = folder / "row3_Depth_metadata.csv"
-    path.write_text(path.read_text().split("Intrinsic")[0])
-    (ref,) = open_source(folder, given(tmp_path))
-    with pytest.raises(CaptureError, match=r"metadata\.csv: .*it has no 'fx'"):
-        ref.load()
-
-
 def test_the_color_table_tells_what_depth_intrinsics_would_do(tmp_path: Path) -> None:
     folder = export(tmp_path / "v")
     color = {"stream": "Color", "format": "RGB8", "width": 64, "height": 48, "f": 60}

@@ -5,7 +5,6 @@ Each test stands by itself: any of them may be the first that the server sees.
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import zipfile
@@ -22,7 +21,6 @@ from cucumbervision.capture.source import example_captures
 from cucumbervision_greenhouse.store.repository import open_store
 
 REDRAWS = 8  # what each of them would leave behind is found by the second
-NEWS = 300  # of an hour, on the capture page, where every one is drawn
 TABLET, UPRIGHT = {"width": 1280, "height": 800}, {"width": 800, "height": 1280}
 
 # One server and one browser, and no limit that a busy machine could reach.
@@ -142,38 +140,6 @@ def test_what_somebody_else_does_is_shown_and_follows_no_link(dashboard: Dashboa
             page.get_by_role("heading", name=name, level=1).wait_for()
             dashboard.quiet()
             assert f"/{name.lower()}" in page.url
-
-
-def test_capture_is_as_small_after_an_hour_of_news_and_takes_a_press(dashboard: Dashboard) -> None:
-    page, news = dashboard.page, list[Any]()
-    walk: dict[str, Any] = {}
-
-    def renamed(route: Any) -> None:
-        if not walk:
-            walk.update(route.fetch().json())
-        walk["now_s"] += 1.0
-        walk["last"]["name"] = f"Stop {walk['now_s']}"  # so that all of it is drawn again
-        route.fulfill(json=walk)
-
-    page.route("**/api/walk?*", renamed)
-    page.route_web_socket("**/api/news?*", lambda line: news.append(line))
-    page.goto(f"{dashboard.address}/capture")
-    page.locator("svg.view").first.wait_for()
-    nodes = list[int]()
-    for number in range(NEWS):
-        known = page.locator("#where").inner_text()
-        told = {"version": str(number), "now_s": 0.0, "work": {"words": "", "waiting": 0}}
-        news[-1].send(json.dumps(told))
-        page.wait_for_function(
-            "known => document.getElementById('where').textContent !== known", arg=known
-        )
-        if number in (1, NEWS - 1):
-            page.wait_for_timeout(500)
-            nodes.append(page.evaluate("document.querySelectorAll('*').length"))
-    assert nodes[0] == nodes[1]
-    page.unroute_all()
-    page.locator("button.take:enabled").click()
-    page.get_by_label("Presses").get_by_text("saved").first.wait_for()
 
 
 def test_a_fruit_is_looked_at_measured_and_accepted(dashboard: Dashboard) -> None:

@@ -9,13 +9,11 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 pytest.importorskip("streamlit")
 
-from streamlit.runtime.caching.cache_utils import CachedFunc
 from tests.greenhouse.pages.app_pages import (
     LONG,
     PAGES,
@@ -30,9 +28,7 @@ from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
 from cucumbervision_greenhouse import resources, round_caches
 from cucumbervision_greenhouse.camera.state import walk
-from cucumbervision_greenhouse.rounds import merge_and_link
 from cucumbervision_greenhouse.rounds.demonstration import DEMONSTRATION, round_for_capture
-from cucumbervision_greenhouse.rounds.from_store import StoredRow
 from cucumbervision_greenhouse.store.records import Round, StopRecord, key_of, new_key
 from cucumbervision_greenhouse.store.repository import Store, open_store
 
@@ -175,35 +171,15 @@ def test_a_page_asks_once_whatever_the_number_of_its_fruit(
         make_long(store, store.stop(store.stops(WALK)[0].key), 100)
     test = app(page, round=LONG)  # reads what is kept then
     asked: Counter[str] = Counter()
-    ask, read = CachedFunc.__call__, Store.rounds
-
-    def counted(cached: Any, *args: Any, **named: Any) -> Any:
-        asked["of caches"] += 1
-        return ask(cached, *args, **named)
+    read = Store.rounds
 
     def rounds(store: Store, *, deleted: bool = False) -> list[Round]:
         asked[f"for rounds, {deleted=}"] += 1
         return read(store, deleted=deleted)
 
-    monkeypatch.setattr(CachedFunc, "__call__", counted)
     monkeypatch.setattr(Store, "rounds", rounds)
     assert not test.run().exception
-    assert 0 < asked.pop("of caches") < 100  # before, 13,000 on a map of 500 fruit
     assert asked == {"for rounds, deleted=False": 1, "for rounds, deleted=True": 1}
-
-
-def test_what_pages_share_is_computed_once(house: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    counted: list[str] = []
-    report = merge_and_link._report
-
-    def counting(row: StoredRow, *args: Any, **named: Any) -> merge_and_link.RowCounts:
-        counted.append(row.name)
-        return report(row, *args, **named)
-
-    monkeypatch.setattr(merge_and_link, "_report", counting)
-    for page in ("today", "forecast", "row_map"):
-        assert not app(page, round=WALK).exception
-    assert len(set(counted)) == len(counted) == 1  # the rows of the round
 
 
 def test_news_of_a_round_count_no_other(house: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from tests.simulated_rows import SimulatedRow, Walk, grow_plants, simulate_row, walk
 
-from cucumbervision.agronomy.classes import UNDECIDED, class_of
+from cucumbervision.agronomy.grades import UNDECIDED, class_of
 from cucumbervision.agronomy.profiles import load_profile
 from cucumbervision.errors import RoundError
 from cucumbervision.measurement.result import Length, LengthDefinition

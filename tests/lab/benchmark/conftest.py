@@ -5,7 +5,7 @@ from typing import Any, Protocol
 
 import pytest
 
-from cucumbervision_lab.benchmark.records import LengthRecord, Masks
+from cucumbervision_lab.benchmark.measure_case import LengthRecord, Masks
 
 
 class MakeRecord(Protocol):

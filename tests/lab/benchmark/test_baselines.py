@@ -9,10 +9,8 @@ from numpy.typing import NDArray
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.errors import MissingExtraError
 from cucumbervision_lab.benchmark.baselines import (
-    BASELINES,
     Baseline,
     available_baselines,
-    lifted_length,
     skan_length,
 )
 from cucumbervision_lab.synthesis.bodies import Tube, arc_tube, rotation
@@ -93,32 +91,6 @@ def test_a_skeleton_is_lifted_by_depth(measure: Baseline) -> None:
     short = 2 * RADIUS_M + 2 * SHORT_M + RADIUS_M * np.sin(np.deg2rad(40))
     assert length > (0.2 - short) * nearer - 3 * PIXEL_M
     assert length < 0.2 + 3 * PIXEL_M
-
-
-@pytest.mark.parametrize("name", BASELINES)
-def test_nobody_measures_nothing(name: str) -> None:
-    measure = available_baselines().get(name)
-    if measure is None:
-        pytest.skip(f"no {name}")
-    depth, mask, camera = view(arc_tube(0.2, RADIUS_M))
-    assert measure(depth, np.zeros_like(mask), camera) is None
-    assert measure(np.zeros_like(depth), mask, camera) is None
-
-
-def test_a_diagonal_staircase_is_smoothed() -> None:
-    # Two across, one down: the true line is sqrt(5) a step, the staircase 1 + sqrt(2).
-    u = np.arange(200, 401)
-    path = np.stack([u, 100 + (u - 200) // 2], axis=1)
-    depth = np.full((720, 1280), 0.9, np.float32)
-    length = lifted_length(path, depth, depth > 0, CAMERA)
-    assert length == pytest.approx(100 * np.sqrt(5) * 0.9 / 900, rel=0.003)
-
-
-def test_a_hole_under_the_path_is_bridged() -> None:
-    path = np.stack([np.arange(200, 401), np.full(201, 300)], axis=1)
-    depth = np.full((720, 1280), 0.9, np.float32)
-    depth[:, 250:300] = 0
-    assert lifted_length(path, depth, depth >= 0, CAMERA) == pytest.approx(0.2, abs=1e-6)
 
 
 def test_without_its_package_a_tool_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:

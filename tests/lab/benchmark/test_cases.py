@@ -2,7 +2,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from cucumbervision_lab.benchmark.cases import (
@@ -49,13 +48,6 @@ def test_hiding_leaves_hide_about_what_was_asked() -> None:
         )
 
 
-def test_the_nearest_distance_leaves_room_about_a_tilted_fruit() -> None:
-    # By hand: 20 cm upright and tilted by 30 degrees are 17.3 cm high, and 5 cm nearer at one end.
-    upright = 0.2 * np.cos(np.pi / 6) * 910.39 / (0.86 * 720) + 0.05
-    assert nearest_m(0.2, 90, 30) == pytest.approx(upright)
-    assert nearest_m(0.2, 90, -30) == pytest.approx(upright)
-
-
 def test_sun_and_wet_leaves_cost_readings_and_hide_no_fruit() -> None:
     plain = replace(stress_cases(1, first=7)[0], condition="plain", hidden_share=0.0)
     fill = {}
@@ -65,21 +57,3 @@ def test_sun_and_wet_leaves_cost_readings_and_hide_no_fruit() -> None:
         assert taken.truth.visible.sum() == simulate(plain, frames=1).truth.visible.sum()
     assert fill["plain"] - fill["sun"] == pytest.approx(0.1, abs=0.05)
     assert fill["plain"] - fill["wet"] == pytest.approx(0.3, abs=0.08)
-
-
-def test_a_case_keeps_its_fruit_whatever_is_measured_of_it() -> None:
-    first, again = paper_cases(8)[0], paper_cases(8)[7]
-    assert first.fruit == again.fruit
-    np.testing.assert_array_equal(build_fruit(first).axis_m, build_fruit(again).axis_m)
-    assert first.distance_m != again.distance_m
-    assert {case.hidden_share for case in paper_cases()} == {0.0}
-
-
-def test_colours_are_painted_only_where_networks_look() -> None:
-    case = paper_cases(1)[0]
-    black, painted = simulate(case, frames=1), simulate(case, frames=1, paint=True)
-    assert not black.capture.color.any()
-    np.testing.assert_array_equal(black.capture.depth_m, painted.capture.depth_m)
-    fruit = painted.capture.color[painted.truth.visible].astype(float).mean(axis=0)
-    # Cucumbers are green in any light.
-    assert fruit[1] > max(fruit[0], fruit[2])

@@ -12,7 +12,7 @@ from tests.lab.benchmark.conftest import make_record
 from cucumbervision.accuracy.table import ReportTable
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision_lab.benchmark.cases import Suite
-from cucumbervision_lab.benchmark.records import Masks, readings_frame
+from cucumbervision_lab.benchmark.measure_case import Masks, readings_frame
 from cucumbervision_lab.benchmark.report import benchmark_tables, write_tables
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ import pytest
 from tests.lab.benchmark.conftest import make_record
 
 from cucumbervision_lab.benchmark.cases import Suite
-from cucumbervision_lab.benchmark.records import Masks, readings_frame
+from cucumbervision_lab.benchmark.measure_case import Masks, readings_frame
 from cucumbervision_lab.benchmark.report import paper_table
 
 if TYPE_CHECKING:

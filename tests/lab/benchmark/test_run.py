@@ -19,16 +19,20 @@ from cucumbervision_lab.benchmark.cases import (
     simulate,
     stress_cases,
 )
-from cucumbervision_lab.benchmark.interval_fit import TUBE_FEATURES
-from cucumbervision_lab.benchmark.length_tables import comparable_readings
-from cucumbervision_lab.benchmark.measure_case import CaseOptions, measure_case
-from cucumbervision_lab.benchmark.records import LengthRecord, Masks, readings_frame
+from cucumbervision_lab.benchmark.measure_case import (
+    CaseOptions,
+    LengthRecord,
+    Masks,
+    measure_case,
+    readings_frame,
+)
+from cucumbervision_lab.benchmark.report import comparable_readings
 from cucumbervision_lab.benchmark.run import (
     KEYS,
     TRUTH_OF,
+    TUBE_FEATURES,
     BenchmarkOptions,
     fit_interval_models,
-    plan_cases,
     run_benchmark,
     run_cases,
     with_intervals,
@@ -67,13 +71,6 @@ def test_every_length_of_a_method_has_an_interval(readings: pd.DataFrame) -> Non
     assert others["low_m"].isna().all()
 
 
-def test_the_protocol_is_the_papers() -> None:
-    protocol, stress = plan_cases(BenchmarkOptions())
-    assert len([c for c in protocol if c.suite is Suite.PAPER]) == 48
-    assert len({c.fruit for c in protocol if c.suite is Suite.PAPER}) == 7
-    assert len({c.fruit for c in stress}) == len(stress) == 2000
-
-
 def test_a_killed_run_resumes_and_a_foreign_file_is_refused(tmp_path: Path) -> None:
     cases, options = paper_cases(2), CaseOptions((Masks.EXACT,))
     file = tmp_path / "records.jsonl"
@@ -94,11 +91,6 @@ def test_two_workers_measure_what_one_does(tmp_path: Path) -> None:
     lengths = {r.case: r.lengths_m for r in both}
     for record in alone:  # to the last digits, which the number of threads may change
         assert lengths[record.case] == pytest.approx(record.lengths_m, rel=1e-6)
-
-
-def test_perceived_masks_need_a_finder() -> None:
-    with pytest.raises(ValueError, match="need `find`"):
-        measure_case(paper_cases(1)[0], CaseOptions((Masks.PERCEIVED,)))
 
 
 def test_perceived_fruit_are_what_was_found_where_the_fruit_is() -> None:
@@ -168,15 +160,3 @@ def test_hidden_fruit_get_wider_intervals() -> None:
     assert narrow is not None
     assert wide is not None
     assert wide[1] - wide[0] > 1.3 * (narrow[1] - narrow[0])
-
-
-def test_what_was_not_measured_has_no_interval() -> None:
-    readings = drawn(1, 3)
-    found = with_intervals(readings.assign(length_m=np.nan), fit_interval_models(drawn(200, 4)))
-    assert found["low_m"].isna().all()
-    assert len(found) == len(KEYS)
-
-
-def test_too_few_fruit_are_refused() -> None:
-    with pytest.raises(ValueError, match="too few for a level"):
-        fit_interval_models(drawn(18, 5))

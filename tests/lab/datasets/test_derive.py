@@ -11,7 +11,6 @@ from cucumbervision.errors import DataSetError
 from cucumbervision_lab.datasets.coco import read_coco
 from cucumbervision_lab.datasets.derive import convert_dataset, merge_datasets, parse_keep
 from cucumbervision_lab.datasets.labels import DataSet, Label, keep_classes
-from cucumbervision_lab.datasets.splits import parse_shares
 
 MakeSet = Callable[..., DataSet]
 
@@ -64,13 +63,6 @@ def test_classes_by_number_or_name(make_set: MakeSet) -> None:
         keep_classes(named, {"3": "cucumber"})
     with pytest.raises(DataSetError, match="invalid class mapping"):
         parse_keep(["cucumber"])
-
-
-def test_shares_in_words() -> None:
-    assert parse_shares("8:1:1") == (0.8, 0.1, 0.1)
-    for text in ("70:30", "a:b:c", "0:0:0", "-1:1:1", "inf:1:1"):
-        with pytest.raises(DataSetError, match="invalid shares"):
-            parse_shares(text)
 
 
 def test_conversions_name_what_they_wrote(make_set: MakeSet, tmp_path: Path) -> None:

@@ -4,7 +4,6 @@ import cv2
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
-from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
@@ -12,7 +11,6 @@ from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.instances.mask_codes import fill_polygon
 from cucumbervision.instances.masks import box_of_mask
 from cucumbervision_lab.datasets.polygons import (
-    join_parts,
     keypoints_of_mask,
     one_polygon,
 )
@@ -98,19 +96,6 @@ def test_a_polygon_reaches_exactly_to_the_masks_box(mask: NDArray[np.bool_]) -> 
     assert edges == box_of_mask(mask).tolist()
 
 
-@settings(deadline=None, max_examples=20)
-@given(st.floats(0, np.pi), st.floats(4, 30))
-def test_the_polygon_of_a_turned_fruit_has_few_points(angle: float, width: float) -> None:
-    mask = np.zeros((240, 320), np.uint8)
-    box = cv2.boxPoints(((160.0, 120.0), (200.0, width), np.rad2deg(angle)))
-    cv2.fillPoly(mask, [np.rint(box).astype(np.int32)], 1)
-    outline = one_polygon(mask > 0)
-    assert outline is not None
-    edge = np.count_nonzero(mask[1:] != mask[:-1]) + np.count_nonzero(mask[:, 1:] != mask[:, :-1])
-    assert len(outline) <= edge
-    assert (fill_polygon(outline, *mask.shape) == (mask > 0)).all()
-
-
 def test_specks_are_left_out_but_never_the_only_part() -> None:
     mask = np.zeros((40, 60), bool)
     mask[5:15, 5:25] = True
@@ -125,14 +110,6 @@ def test_specks_are_left_out_but_never_the_only_part() -> None:
     polygon = one_polygon(small)
     assert polygon is not None
     assert (fill_polygon(polygon, 40, 60) == small).all()
-
-
-def test_parts_are_joined_at_their_nearest_points() -> None:
-    square = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])
-    joined = join_parts([square, square + np.array([9, 0]), square + np.array([3, 0])])
-    steps = np.hypot(*np.diff(np.vstack([joined, joined[:1]]), axis=0).T)
-    # Two bridges, there and back: 2 from the first to the third, 5 from there to the second.
-    assert sorted(steps[steps > 1.5]) == [2, 2, 5, 5]
 
 
 CAMERA = Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0)
@@ -159,12 +136,6 @@ def test_the_word_says_which_end_is_last() -> None:
     assert down is not None
     np.testing.assert_allclose(up, down[::-1])
     assert up[4, 1] < up[0, 1]
-
-
-def test_a_word_across_the_fruit_tells_nothing() -> None:
-    mask = np.zeros((60, 60), bool)
-    mask[5:55, 25:35] = True
-    assert keypoints_of_mask(mask, "left") is None
 
 
 def test_round_small_and_hollow_outlines_have_none() -> None:

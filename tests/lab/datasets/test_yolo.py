@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -119,13 +118,6 @@ def test_what_cannot_be_written_is_refused(make_set: MakeSet, tmp_path: Path) ->
     dataset.path(dataset.pictures[0]).unlink()
     with pytest.raises(DataSetError, match="the file is missing"):
         write_yolo(dataset, out)
-
-
-def test_pictures_are_linked(make_set: MakeSet, tmp_path: Path) -> None:
-    dataset = make_set("train")
-    write_yolo(dataset, tmp_path / "yolo")
-    placed = tmp_path / "yolo/images/train/000000.png"
-    assert placed.samefile(dataset.path(dataset.pictures[0]))
 
 
 def export(folder: Path, yaml: str, splits: tuple[str, ...]) -> None:
@@ -264,20 +256,9 @@ def test_missing_label_files_and_broken_pictures_are_named(tmp_path: Path) -> No
     ]
 
 
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")
-def test_a_pipe_among_the_labels_is_not_waited_for(make_set: MakeSet, tmp_path: Path) -> None:
-    folder = tmp_path / "set"
-    write_yolo(make_set(), folder, "segment")
-    label = min((folder / "labels").rglob("*.txt"))
-    label.unlink()
-    os.mkfifo(label)
-    (fault,) = read_yolo(folder).refused
-    assert f"{label.name}: is a pipe or a device, not a file" in str(fault)
-
-
 def test_yaml_faults(tmp_path: Path) -> None:
     export(tmp_path, "names: [", ("train",))
-    with pytest.raises(DataSetError, match="is not valid YAML"):
+    with pytest.raises(DataSetError, match="is damaged"):
         read_yolo(tmp_path)
     (tmp_path / "data.yaml").write_text("names: {0: a, 2: b}\ntrain: train/images")
     with pytest.raises(DataSetError, match="not consecutive from 0"):

@@ -24,7 +24,6 @@ from cucumbervision_lab.detection.outcomes import (
 from cucumbervision_lab.detection.pictures import (
     DetectedFruit,
     Frame,
-    Stage,
     TrueFruit,
     detected_fruit,
     encode_mask,
@@ -66,13 +65,6 @@ def test_what_becomes_of_a_fruit() -> None:
     assert math.isnan(miss.mask_iou)
 
 
-def test_below_the_confidence_nothing_is_found() -> None:
-    pictures = [frame([TrueFruit(BOX)], [DetectedFruit(BOX, 0.3)])]
-    assert not fruit_rows(pictures, 0.3)["found"].any()
-    assert detection_rows(pictures, 0.3).empty
-    assert fruit_rows(pictures, 0.29)["found"].all()
-
-
 def test_what_becomes_of_a_detection() -> None:
     at_edge = np.array([-0.5, 300, 80, 340])
     true = [TrueFruit(BOX), TrueFruit(AWAY, ignore=True)]
@@ -86,12 +78,6 @@ def test_what_becomes_of_a_detection() -> None:
     assert [row.cut_off for row in rows] == [False, False, True]
     assert rows[0].distance_m == 0.5
     assert (rows[2].x1, rows[2].y2) == (-0.5, 340.0)
-
-
-def test_stages_are_judged_apart() -> None:
-    picture = Frame("a", "a", 640, 480, (TrueFruit(BOX),), (), (DetectedFruit(BOX, 0.9),), ())
-    assert fruit_rows([picture], 0.3, Stage.POSED)["found"].all()
-    assert not fruit_rows([picture], 0.3, Stage.KEPT)["found"].any()
 
 
 def test_distance_is_read_in_the_middle_of_the_box() -> None:
@@ -117,16 +103,6 @@ def test_ends_are_judged_in_percent_of_the_line() -> None:
     assert row.length_px == pytest.approx(100.0)
     assert (row.blossom_percent, row.stem_percent) == pytest.approx((3.0, 5.0))
     assert (row.blossom_seen, row.stem_seen, row.swapped) == (True, False, False)
-
-
-def test_bent_fruit_are_measured_along_their_line() -> None:
-    true = LINE.copy()
-    true[2, 1] += 25.0  # two of four segments become 25 * sqrt(2) long
-    points = true.copy()
-    points[0, 0] += 10.0
-    (row,) = end_rows([frame([TrueFruit(BOX, keypoints=true)], posed(points))], 0.3).itertuples()
-    assert row.length_px == pytest.approx(50 + 2 * math.hypot(25, 25))
-    assert row.blossom_percent == pytest.approx(100 * 10 / row.length_px)
 
 
 def test_swapped_ends_are_judged_as_they_are() -> None:
@@ -190,11 +166,6 @@ def test_a_hit_overlaps_by_half(by: float, hit: bool) -> None:
     assert bool(match_boxes([shifted(by)], [FRUIT]).pairs) is hit
 
 
-def test_the_best_detection_takes_the_fruit() -> None:
-    found = match_boxes([shifted(10), FRUIT], [FRUIT])
-    assert (found.pairs, found.false) == (((0, 0),), (1,))
-
-
 def test_a_detection_takes_the_fruit_it_overlaps_most() -> None:
     found = match_boxes([shifted(4)], [shifted(20), shifted(5), shifted(-20)])
     assert (found.pairs, found.missed) == (((1, 0),), (0, 2))
@@ -222,8 +193,3 @@ def test_fruit_in_an_ignored_region_is_still_to_be_found() -> None:
     found = match_boxes([FRUIT], [FRUIT], ignored=[[-9.0, -9.0, 300.0, 90.0]])
     assert found.pairs == ((0, 0),)
     assert match_boxes([], [FRUIT], ignored=[[-9.0, -9.0, 300.0, 90.0]]).missed == (0,)
-
-
-def test_nothing_at_all() -> None:
-    found = match_boxes([], [])
-    assert (found.pairs, found.missed, found.false, found.neutral) == ((), (), (), ())

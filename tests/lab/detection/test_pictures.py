@@ -11,7 +11,7 @@ from cucumbervision.capture.pictures import write_png
 from cucumbervision.errors import DataSetError
 from cucumbervision_lab.datasets.coco import write_coco
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
-from cucumbervision_lab.detection.pictures import capture_of, frame_of, read_held_out, spread
+from cucumbervision_lab.detection.pictures import capture_of, frame_of, read_held_out
 
 BOX = np.array([9.5, 9.5, 29.5, 19.5])
 
@@ -35,15 +35,6 @@ def test_pseudo_labels_are_no_test(tmp_path: Path) -> None:
     folder = write_set(tmp_path, pictures)
     with pytest.raises(DataSetError, match=r"1 pictures.*images/b\.png; move them to 'train'"):
         read_held_out(folder)
-
-
-def test_pseudo_labels_may_stand_where_nothing_is_judged(tmp_path: Path) -> None:
-    pictures = [
-        picture("a", Label(BOX, pseudo=True, ignore=True)),
-        picture("b", Label(BOX, pseudo=True), split="train"),
-    ]
-    found = read_held_out(write_set(tmp_path, pictures))
-    assert [p.file for p in found.pictures] == ["images/a.png"]
 
 
 def test_a_split_without_pictures_is_refused(tmp_path: Path) -> None:
@@ -75,14 +66,6 @@ def test_pictures_that_are_not_those_labelled_are_refused(tmp_path: Path) -> Non
     (images / "c.png").write_bytes(b"no picture")
     with pytest.raises(DataSetError, match=r"3 pictures .*images/c\.png"):
         read_held_out(folder)
-
-
-def test_limit_spreads_over_the_set(tmp_path: Path) -> None:
-    folder = write_set(tmp_path, [picture(name) for name in "abcdefg"])
-    files = [p.file for p in read_held_out(folder, limit=3).pictures]
-    assert files == ["images/a.png", "images/d.png", "images/g.png"]
-    assert spread((), 3) == ()
-    assert spread(("a",), 0) == ()
 
 
 def test_classes_beside_cucumber() -> None:

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from cucumbervision.measurement.pose import FruitPose
-from cucumbervision_lab.benchmark.records import Masks
+from cucumbervision_lab.benchmark.measure_case import Masks
 from cucumbervision_lab.detection.report import pose_table
 from cucumbervision_lab.detection.run import pose_errors
 

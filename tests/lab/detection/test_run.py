@@ -25,10 +25,10 @@ from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.pictures import write_png
 from cucumbervision.cli.app import app
 from cucumbervision.instances.masks import box_of_mask
-from cucumbervision_lab.benchmark.records import Masks
+from cucumbervision_lab.benchmark.measure_case import Masks
 from cucumbervision_lab.datasets.coco import write_coco
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
-from cucumbervision_lab.detection import photo_audit
+from cucumbervision_lab.detection import photos
 from cucumbervision_lab.detection.outcomes import end_rows
 from cucumbervision_lab.detection.pictures import Stage
 from cucumbervision_lab.detection.report import detection_tables
@@ -266,7 +266,7 @@ def test_photos_are_judged_by_a_command_of_their_own(
         sha1_of(scene.folder / "images" / f"{name}.png"): {**entry, "scene": name, "boxes": boxes}
         for name, boxes in (("a", [fruit]), ("b", []))
     }
-    monkeypatch.setattr(photo_audit, "load_audit", lambda: audit)
+    monkeypatch.setattr(photos, "load_audit", lambda: audit)
     arguments = ["evaluate", "photos", str(scene.folder), "--out", str(tmp_path / "out")]
     arguments += ["--seg", str(networks[0]), "--pose", str(networks[1])]
     # The detector is sure by 0.9, the pose network by 0.8, and what ships counts both: 0.85.

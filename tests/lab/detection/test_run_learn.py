@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from cucumbervision.capture.frames import Capture
 from cucumbervision.cli.app import app
 from cucumbervision.instances.instance import Instance, MaskSource
-from cucumbervision_lab.benchmark.records import Masks, read_records
+from cucumbervision_lab.benchmark.measure_case import Masks, read_records
 from cucumbervision_lab.detection import run
 from cucumbervision_lab.detection.pictures import frame_of
 from cucumbervision_lab.detection.run import set_records

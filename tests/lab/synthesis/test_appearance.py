@@ -11,8 +11,6 @@ from cucumbervision.errors import CaptureError
 from cucumbervision_lab.synthesis.appearance import FAR, Assets, load_assets, random_style
 from cucumbervision_lab.synthesis.bodies import arc_tube
 from cucumbervision_lab.synthesis.placing import place_hanging, trellis
-from cucumbervision_lab.synthesis.raycast import Plane
-from cucumbervision_lab.synthesis.scene import Scene
 
 RED = np.zeros((60, 80, 3), np.uint8)
 
@@ -41,14 +39,6 @@ def test_pictures_are_sorted_by_the_folders_they_lie_in(tmp_path: Path) -> None:
     assert np.allclose(light[10, 10], (8.0, 1.0, 0.5), rtol=0.02)
 
 
-def test_backgrounds_that_say_they_show_fruit_are_passed_over(tmp_path: Path) -> None:
-    write(tmp_path / "backgrounds/Pythium_Fruit_Rot_1.png")
-    write(tmp_path / "backgrounds/row.png")
-    write(tmp_path / "textures/fruit.png")
-    assert len(load_assets(tmp_path).backgrounds) == 1
-    assert len(load_assets(tmp_path).skins) == 1
-
-
 def test_unreadable_files_are_named_and_the_rest_is_kept(tmp_path: Path) -> None:
     write(tmp_path / "textures/good.png")
     (tmp_path / "textures/empty.png").write_bytes(b"")
@@ -63,16 +53,6 @@ def test_a_folder_that_is_missing_or_holds_nothing_is_refused(tmp_path: Path) ->
         load_assets(tmp_path / "none")
     with pytest.raises(CaptureError, match="contains no textures"):
         load_assets(tmp_path)
-
-
-@pytest.mark.realdata
-def test_real_assets_load(shared_data: Path) -> None:
-    assets = load_assets(shared_data)
-    assert len(assets.skins) == 15
-    assert len(assets.environments) == 8
-    # Four of the 59 say by their names that they show fruit.
-    assert (len(assets.backgrounds), len(assets.leaves)) == (55, 17)
-    assert all(np.isfinite(light).all() and light.max() > 1 for light in assets.environments)
 
 
 CAMERA = Intrinsics(320, 180, 228.0, 228.0, 160.0, 90.0)
@@ -93,41 +73,3 @@ def test_every_body_gets_a_look() -> None:
     assert style.stem_roles == ("string", "string", "stem", "stem")
     assert style.materials == (FAR,)
     assert style == random_style(np.random.default_rng(2), scene, Assets(), "hanging")
-
-
-def test_fruit_on_a_bench_are_lit_from_off_it() -> None:
-    planes = (Plane.facing(0.6, tilt_deg=30.0), Plane.facing(2.0))
-    style = random_style(np.random.default_rng(1), Scene(FRUIT, planes=planes), Assets(), "bench")
-    assert style.materials[0] != FAR
-    assert style.materials[1] == FAR
-    # Its upper part leans away: off it is up and towards the camera, at 30 degrees.
-    assert style.light.up == pytest.approx((0.0, -0.5, -np.sqrt(0.75)))
-    own = random_style(
-        np.random.default_rng(1), Scene(FRUIT), Assets(), "bench", up=(1.0, 0.0, 0.0)
-    )
-    assert own.light.up == (1.0, 0.0, 0.0)
-
-
-def test_fruit_of_one_plant_are_alike() -> None:
-    apart = []
-    for seed in range(40):
-        skins = random_style(np.random.default_rng(seed), Scene(FRUIT), Assets(), "bench").skins
-        apart.append(np.abs(np.subtract(skins[0].base, skins[1].base)).max())
-    assert 2 < np.median(apart) < 20
-
-
-def test_fruit_lie_on_the_first_plane_and_the_others_are_far() -> None:
-    scene = Scene((), planes=(Plane.facing(0.6), Plane.facing(3.0)))
-    lying = random_style(np.random.default_rng(3), scene, Assets(), "crate")
-    hanging = random_style(np.random.default_rng(3), scene, Assets(), "hanging")
-    assert lying.materials[0] != FAR
-    assert lying.materials[1] == FAR
-    assert hanging.materials == (FAR, FAR)
-
-
-def test_unknown_settings_and_roles_are_refused() -> None:
-    rng = np.random.default_rng(1)
-    with pytest.raises(ValueError, match="'field' is not a valid Setting"):
-        random_style(rng, Scene(()), Assets(), "field")
-    with pytest.raises(ValueError, match="unknown role 'rope'"):
-        random_style(rng, Scene(()), Assets(), "bench", stem_roles=("rope",))

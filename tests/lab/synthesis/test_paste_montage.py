@@ -12,10 +12,14 @@ from cucumbervision.capture.pictures import read_color
 from cucumbervision.errors import DataSetError
 from cucumbervision_lab.datasets.coco import write_coco
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
-from cucumbervision_lab.synthesis.generate import generate, parse_options
+from cucumbervision_lab.synthesis.frame import FrameOptions
+from cucumbervision_lab.synthesis.generate import SynthOptions, generate
 from cucumbervision_lab.synthesis.paste import Cutout, fruitless, montage
 
 SIZE = (480, 360)
+
+
+FRAME = FrameOptions(320, 240, (1.0, 0.0, 0.0), depth=False)
 
 
 def red_bar() -> Cutout:
@@ -83,15 +87,13 @@ def a_set(folder: Path, *, fruit: bool) -> Path:
 
 
 def test_a_set_is_made_by_synth_and_is_the_same_again(tmp_path: Path) -> None:
-    options = parse_options(
-        frames=3,
-        seed=5,
-        size="320x240",
-        shares="1,0,0",
+    options = SynthOptions(
+        3,
+        5,
+        FRAME,
         split="train",
         paste=a_set(tmp_path / "fruit", fruit=True),
         onto=a_set(tmp_path / "ground", fruit=False),
-        depth=False,
     )
     made = generate(options, tmp_path / "one")
     assert [(p.split, p.source, p.width) for p in made.pictures] == [("train", "ours", 320)] * 3
@@ -102,12 +104,10 @@ def test_a_set_is_made_by_synth_and_is_the_same_again(tmp_path: Path) -> None:
 
 
 def test_onto_needs_fruit_to_paste_and_trains_only(tmp_path: Path) -> None:
-    words = {"frames": 1, "seed": 1, "size": "320x240", "shares": "1,0,0", "depth": False}
-    with pytest.raises(DataSetError, match="--onto"):
-        parse_options(**words, split="train", onto=tmp_path)  # type: ignore[arg-type]
-    with pytest.raises(DataSetError, match="--onto"):
-        parse_options(**words, split="test", paste=tmp_path, onto=tmp_path)  # type: ignore[arg-type]
+    for split, paste in (("train", None), ("test", tmp_path)):
+        with pytest.raises(DataSetError, match="--onto"):
+            SynthOptions(1, 1, FRAME, split=split, paste=paste, onto=tmp_path)
     fruit = a_set(tmp_path / "fruit", fruit=True)
-    options = parse_options(**words, split="train", paste=fruit, onto=fruit)  # type: ignore[arg-type]
+    options = SynthOptions(1, 1, FRAME, split="train", paste=fruit, onto=fruit)
     with pytest.raises(DataSetError, match="no large training pictures without fruit"):
         generate(options, tmp_path / "out")

@@ -46,13 +46,6 @@ def test_masks_and_hidden_share() -> None:
     assert truth.radius_m[[0, -1]].tolist() == [0.0, 0.0]
 
 
-def test_a_cut_off_fruit_says_so() -> None:
-    tube = arc_tube(0.3, 0.02).moved(np.eye(3), (0.3, 0, 0.5))
-    (truth,) = truth_of(Scene((tube,)), CAMERA)
-    assert truth.cut_off
-    assert truth.keypoint_visibility.tolist() == [2, 2, 0, 0, 0]
-
-
 def test_an_end_behind_the_fruits_own_body_is_hidden() -> None:
     # Tilted by 70 degrees, the near end covers most of the rest: the far pole is out of sight.
     tube = place_hanging(arc_tube(0.12, 0.02), (0.0, 0.0, 0.5), roll_deg=0, tilt_deg=75)
@@ -137,22 +130,6 @@ def test_a_ball_has_its_analytic_outline() -> None:
     assert scene.normal[240, 320] == pytest.approx([0, 0, -1])
 
 
-def test_the_nearer_fruit_hides_the_other() -> None:
-    back = arc_tube(0.2, 0.02).moved(rotation(0), (0, 0, 0.6))
-    front = arc_tube(0.2, 0.02).moved(rotation(90), (0, 0, 0.5))
-    scene = render(Scene.of(back, front), CAMERA)
-    assert scene.mask(1)[240, 320]
-    alone = render(Scene.of(back), CAMERA).mask(0)
-    assert (scene.mask(0) == (alone & ~scene.mask(1))).all()
-
-
-def test_a_backdrop_in_front_hides_everything() -> None:
-    tube = arc_tube(0.2, 0.02).moved(rotation(), (0, 0, 0.5))
-    scene = render(Scene.of(tube, backdrop_m=0.4), CAMERA)
-    assert not scene.mask(0).any()
-    assert (scene.depth_m == 0.4).all()
-
-
 def test_shares_run_from_blossom_to_stem_end() -> None:
     tube = arc_tube(0.2, 0.02).moved(rotation(), (0, 0, 0.5))
     scene = render(Scene.of(tube), CAMERA)
@@ -174,9 +151,3 @@ def test_lens_distortion_moves_the_outline() -> None:
     moved = np.flatnonzero(seen.any(axis=0))[-1]
     slope = (right - 320) / 600
     assert moved - right == pytest.approx(600 * 0.2 * slope**3, abs=1.5)
-
-
-def test_behind_the_camera_is_refused() -> None:
-    tube = arc_tube(0.2, 0.02).moved(rotation(tilt_deg=90), (0, 0, 0.05))
-    with pytest.raises(ValueError, match="behind the camera"):
-        render(Scene.of(tube), CAMERA)

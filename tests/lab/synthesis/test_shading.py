@@ -49,28 +49,6 @@ def test_under_even_light_a_body_shows_its_own_colour() -> None:
     assert np.median(linear[middle][:, 1]) == pytest.approx(0.156, rel=0.2)
 
 
-def test_the_sunny_side_is_the_bright_one() -> None:
-    lights = (replace(EVEN, sun=(0.0, y, -np.sqrt(0.5)), sun_strength=3.0) for y in (-0.707, 0.707))
-    above, below = (painted(ON_PAPER, paper(light), ALL_ROUND)[0] for light in lights)
-    view = render(ON_PAPER, CAMERA)
-    top = view.mask(0) & (view.normal[..., 1] < -0.4)
-    bottom = view.mask(0) & (view.normal[..., 1] > 0.4)
-    assert above[top].mean() > 1.8 * above[bottom].mean()
-    assert below[bottom].mean() > 1.8 * below[top].mean()
-
-
-def test_the_blossom_end_is_at_share_0() -> None:
-    # Roll 0: the stem end is to the right.
-    brown = replace(MATT, mottle=0.0, tip=(220.0, 40.0, 40.0), tip_reach=0.5)
-    linear, view = painted(ON_PAPER, paper(EVEN, brown), ALL_ROUND)
-    left = linear[view.mask(0) & (view.share < 0.1)].mean(axis=0)
-    right = linear[view.mask(0) & (view.share > 0.6) & (view.share < 0.8)].mean(axis=0)
-    assert left[0] > left[1]
-    assert right[1] > right[0]
-    columns = np.nonzero(view.share * view.mask(0) > 0.9)[1]
-    assert columns.min() > 160
-
-
 def test_leaves_and_rods_take_their_colours() -> None:
     leaf = Leaf(np.array([-0.1, 0.0, 0.5]), np.eye(3), 0.06, 0.05)
     rod = Stem(np.array([[0.1, -0.1, 0.5], [0.1, 0.1, 0.5]]), 0.008)
@@ -109,16 +87,6 @@ def test_every_kind_of_scene_is_painted_whole_and_the_same_again() -> None:
             assert np.array_equal(linear, painted(scene, style, seed=seed)[0])
 
 
-def test_a_far_plane_shows_the_background_photo() -> None:
-    photo = np.zeros((240, 320, 3), np.uint8)
-    photo[..., 2] = 200
-    style = replace(paper(EVEN), materials=("far",), far="photo")
-    linear, view = painted(ON_PAPER, style, Assets(backgrounds=(photo,)))
-    wall = linear[view.kind == Kind.PLANE]
-    assert wall[:, :2].max() == 0
-    assert wall[:, 2].min() > 0.1
-
-
 def test_rich_assets_change_skin_and_leaves() -> None:
     rng = np.random.default_rng(4)
     close_up = rng.integers(20, 230, (64, 64, 3), dtype=np.uint8)
@@ -135,10 +103,3 @@ def test_rich_assets_change_skin_and_leaves() -> None:
     middle = view.mask(0) & (np.abs(view.share - 0.5) < 0.3)
     assert (rich[middle] / bare[middle]).std() > 0.1
     assert rich[view.kind == Kind.LEAF].std() > 1.5 * bare[view.kind == Kind.LEAF].std()
-
-
-def test_a_style_for_another_scene_is_refused() -> None:
-    with pytest.raises(ValueError, match="0 looks for 1 fruit"):
-        painted(ON_PAPER, replace(paper(EVEN), skins=()))
-    with pytest.raises(ValueError, match="1 looks for 0 leaves"):
-        painted(ON_PAPER, replace(paper(EVEN), leaf_colors=((1.0, 2.0, 3.0),)))

@@ -23,10 +23,9 @@ def write_set(folder: Path, task: str, pictures: int = 8, names: str = "[cucumbe
         along = np.array([np.cos(turn), np.sin(turn)])
         across = np.array([-along[1], along[0]])
         centre = rng.uniform(40, 56, 2)
-        bar = centre + np.array(
-            [30 * along + 8 * across, 30 * along - 8 * across, -30 * along - 8 * across,
-             -30 * along + 8 * across]
-        )  # fmt: skip
+        # Six corners: a rectangle would be read as an oriented box.
+        ends = ((30, 8), (34, 0), (30, -8), (-30, -8), (-34, 0), (-30, 8))
+        bar = centre + np.array([u * along + v * across for u, v in ends])
         cv2.fillPoly(color, [bar.round().astype(np.int32)], (40, 160, 60))
         if task == "segment":
             row = "0 " + " ".join(f"{v:.6f}" for v in (bar / SIDE_PX).ravel())

@@ -16,11 +16,9 @@ if importlib.util.find_spec("ultralytics") is None:
 from cucumbervision.perception.registry import file_sha256
 from cucumbervision.perception.runtime import open_network
 from cucumbervision_lab.training.classifier import (
-    CHANNELS,
     ClassifierOptions,
     Trained,
     export_network,
-    first_layers,
     fit,
     scaled_planes,
     write_classifier_card,
@@ -101,30 +99,6 @@ def test_no_epoch_leaves_the_network_as_it_was() -> None:
     assert torch.equal(untrained.weight, before)
 
 
-def test_the_same_seed_learns_the_same_and_another_something_else() -> None:
-    data = pictures(40, 3)
-
-    def learn(seed: int) -> NDArray[np.float64]:
-        options = ClassifierOptions(epochs=1, batch=16, seed=seed)
-        return predict(learnt(data, options), data[0])
-
-    np.testing.assert_array_equal(learn(4), learn(4))
-    assert np.abs(learn(4) - learn(5)).max() > 1e-3
-
-
-def test_the_last_batch_is_no_picture_alone() -> None:
-    import torch
-
-    sizes: list[int] = []
-
-    def loss_of(network: Any, chosen: NDArray[np.intp]) -> Any:
-        sizes.append(len(chosen))
-        return network(torch.zeros(1, 3, SIDE_PX, SIDE_PX)).sum()
-
-    fit(make, 33, loss_of, ClassifierOptions(epochs=1, batch=16))
-    assert sizes == [11] * 3
-
-
 def test_the_file_computes_what_the_network_does_for_any_number(tmp_path: Path) -> None:
     data, target = pictures(60, 5)
     options = ClassifierOptions(epochs=2, batch=16)
@@ -139,28 +113,6 @@ def test_the_file_computes_what_the_network_does_for_any_number(tmp_path: Path) 
         (logits,) = opened.run({"pictures": planes}).values()
         # Weights in half precision keep three digits.
         np.testing.assert_allclose(logits, predict(network, data[:count]), atol=0.02)
-
-
-def test_a_network_of_two_inputs_is_exported_under_their_names(tmp_path: Path) -> None:
-    import torch
-
-    class Sum(torch.nn.Module):  # type: ignore[misc]
-        def forward(self, first: Any, second: Any) -> Any:
-            return first + 2 * second
-
-    inputs = {"first": torch.zeros(2, 3), "second": torch.zeros(2, 3)}
-    export_network(Sum().eval(), tmp_path / "sum.onnx", inputs, ("total",), "look")
-    opened = open_network(tmp_path / "sum.onnx", "onnxruntime", full_precision=True)
-    ones = np.ones((5, 3), np.float32)
-    np.testing.assert_array_equal(opened.run({"first": ones, "second": ones})["total"], 3 * ones)
-
-
-def test_the_first_layers_make_a_sixteenth_of_the_size() -> None:
-    import torch
-
-    layers = torch.nn.Sequential(*first_layers("yolo26n.yaml")).eval()
-    with torch.no_grad():
-        assert layers(torch.zeros(1, 3, 64, 96)).shape == (1, CHANNELS, 4, 6)
 
 
 def trained(network: Path, **metrics: float) -> Trained:

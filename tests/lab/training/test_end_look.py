@@ -25,13 +25,10 @@ from cucumbervision_lab.training.classifier import (  # noqa: E402
 from cucumbervision_lab.training.end_crops import EndCrops  # noqa: E402
 from cucumbervision_lab.training.end_look import (  # noqa: E402
     _loss,
-    area_under_curve,
     augmented,
-    export_look,
     fit_look,
     judge_look,
     make_network,
-    predict_looks,
     train_look,
 )
 
@@ -85,17 +82,6 @@ def test_it_learns_to_see_the_leaf_and_the_file_says_the_same(tmp_path: Path) ->
     assert (found[held.state == 1].min()) > found[held.state == 0].max()
     card = write_classifier_card(result, "look", CHECKPOINT, ClassifierOptions(4))
     assert (card.task, card.sha256) == ("look", file_sha256(result.network))
-
-
-def test_the_exported_file_gives_what_the_network_does(tmp_path: Path) -> None:
-    torch.manual_seed(1)
-    network, drawn = make_network("yolo26n-seg.yaml").eval(), crops(6)
-    export_look(network, tmp_path / "look.onnx")
-    looker = EndLooker(tmp_path / "look.onnx")
-    ends = [EndCrop(one, (2.0, 3.0)) for one in drawn.planes]
-    for one, two in zip(looker.look(ends), predict_looks(network, drawn), strict=True):
-        assert one.covered == pytest.approx(two.covered, abs=2e-3)
-        assert one.missing == pytest.approx(two.missing, abs=2e-3)
 
 
 def test_an_interrupted_training_goes_on_where_it_was(tmp_path: Path) -> None:
@@ -163,11 +149,6 @@ def test_augmenting_keeps_planes_in_their_range_and_the_end_in_its_place() -> No
     assert set(seen[:, 4].unique().tolist()) == {0.0, 1.0}
     lost = seen[:, 4] == 0
     assert bool((seen[:, 3][lost] == 128 / 255).all())
-
-
-def test_area_under_curve_counts_ties_half() -> None:
-    assert area_under_curve(np.array([0.5, 0.5]), np.array([True, False])) == 0.5
-    assert np.isnan(area_under_curve(np.array([0.5]), np.array([True])))
 
 
 def test_training_begins_with_an_earlier_network(tmp_path: Path) -> None:

@@ -73,15 +73,6 @@ def test_fruit_are_grouped_by_the_look_and_each_group_holds(
         assert width == pytest.approx(expected, rel=0.2)
 
 
-def test_a_group_of_too_few_has_no_quantiles_of_its_own(
-    learnt: tuple[list[MeasuredFruit], list[tuple[EndLook, EndLook]]],
-) -> None:
-    some, looks = learnt[0][:270], learnt[1][:270]  # 90 of them are short
-    bands = fit_look_intervals(some, looks)[M6].bands
-    assert "0" in bands
-    assert "2" not in bands
-
-
 def test_fruit_far_away_have_quantiles_of_their_own(
     learnt: tuple[list[MeasuredFruit], list[tuple[EndLook, EndLook]]],
 ) -> None:

@@ -24,7 +24,7 @@ from cucumbervision.perception.resize import fit
 from cucumbervision.perception.runtime import open_network
 from cucumbervision.perception.yolo import YoloDetector
 from cucumbervision_lab.training.export import export_yolo
-from cucumbervision_lab.training.networks import import_ultralytics, load_yolo
+from cucumbervision_lab.training.train import import_ultralytics, load_yolo
 
 pytestmark = [pytest.mark.train, pytest.mark.usefixtures("_suppression")]
 

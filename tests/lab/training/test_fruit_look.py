@@ -18,7 +18,6 @@ from cucumbervision_lab.training.classifier import ClassifierOptions  # noqa: E4
 from cucumbervision_lab.training.fruit_crops import SURROUND_PX, FruitCrops  # noqa: E402
 from cucumbervision_lab.training.fruit_look import (  # noqa: E402
     as_batch,
-    augmented,
     loss,
     make_network,
     moved,
@@ -121,16 +120,6 @@ def test_what_is_not_labelled_does_not_count() -> None:
     )
     (answer, _), (_, truth) = _answer(crops), _answer(unknown)
     assert loss(answer, *truth) == 0
-
-
-def test_augmented_crops_keep_their_size_and_range() -> None:
-    torch.manual_seed(1)
-    planes, outline, *_ = augmented(*as_batch(bars(12), np.arange(12)))
-    assert planes.shape == (12, 6, HEIGHT_PX, WIDTH_PX)
-    assert outline.shape == (12, HEIGHT_PX, WIDTH_PX)
-    assert float(planes.min()) >= 0
-    assert float(planes.max()) <= 1
-    assert torch.isin(planes[:, 4:], torch.tensor([0.0, 1.0])).all()
 
 
 def test_training_teaches_outlines_and_the_file_says_the_same(tmp_path: Path) -> None:

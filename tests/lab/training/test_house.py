@@ -10,8 +10,7 @@ import pytest
 
 from cucumbervision.capture.pictures import write_png
 from cucumbervision.errors import ModelError, TrainingError
-from cucumbervision.perception.own_networks import use_network
-from cucumbervision.perception.registry import load_registry
+from cucumbervision.perception.registry import load_registry, use_network
 from cucumbervision_lab.datasets.coco import read_coco, write_coco
 from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
 from cucumbervision_lab.detection.outcomes import detection_rows, fruit_rows, overall

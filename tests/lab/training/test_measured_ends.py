@@ -42,14 +42,6 @@ def test_what_is_missing_is_measured_along_the_true_axis(turned: bool) -> None:
     assert [end.missing_m for end in ends] == pytest.approx([0.04, 0.01], abs=1e-3)
 
 
-def test_an_end_beyond_the_fruit_misses_less_than_nothing() -> None:
-    true = bent()
-    out = true[-1] - true[-2]
-    axis = np.vstack([true, true[-1] + 3 * out])
-    _, stem = end_truths(axis, true)
-    assert stem.missing_m == pytest.approx(-0.015, abs=1e-3)
-
-
 @pytest.fixture(scope="module")
 def drawn(tmp_path_factory: pytest.TempPathFactory) -> DataSet:
     folder = tmp_path_factory.mktemp("drawn")
@@ -139,14 +131,3 @@ def test_a_set_is_measured_once_and_goes_on_where_it_was_cut_short(
     write_measured(some, keep)
     assert len(asked) == 1
     assert len(read_measured([keep])) == len(fruit)
-
-
-def test_the_split_val_is_held_out_whatever_its_scene_is_called() -> None:
-    pictures = [
-        LabelledPicture(f"{number}.png", 8, 8, (), f"scene {number}", split)
-        for number in range(64)
-        for split in ("train", "val")
-    ]
-    held = [is_held_out(picture, HELD_OUT) for picture in pictures]
-    assert all(held[1::2])
-    assert 16 < sum(held[::2]) < 48

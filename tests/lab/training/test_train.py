@@ -20,8 +20,7 @@ from cucumbervision.perception.runtime import open_network
 from cucumbervision.perception.yolo_layout import ORDER_KEY, SIZES_KEY
 from cucumbervision_lab.training.data import open_sets
 from cucumbervision_lab.training.export import export_trained
-from cucumbervision_lab.training.networks import load_yolo
-from cucumbervision_lab.training.train import NETWORK, train
+from cucumbervision_lab.training.train import NETWORK, load_yolo, train
 
 pytestmark = pytest.mark.train
 

@@ -37,7 +37,7 @@ __all__ = [
 
 RECORDING_SUFFIXES = frozenset({".bag", ".db3"})
 
-_WRITTEN_BY_RUN = {"measurements.json", "records"}
+_RECORDS = {"records", "journal"}  # of a run; the latter until 0.1.0
 _REMEDY = (
     "give a folder with capture.json, a BOP scene (scene_camera.json), colour and depth pictures "
     "named alike but for the words color and depth, or a .bag or .db3 recording"
@@ -203,7 +203,7 @@ def list_folder(path: Path) -> Folder:
     # Links may lead to visited folders or form a cycle.
     visited = {os.path.realpath(path), *map(str, Path(os.path.realpath(path)).parents)}
     for place, folders, files in os.walk(path, onerror=note, followlinks=True):
-        if place != str(path) and {*folders, *files} >= _WRITTEN_BY_RUN:
+        if place != str(path) and "measurements.json" in files and _RECORDS & {*folders}:
             folders.clear()
             continue
         subfolder = Path(place).relative_to(path)

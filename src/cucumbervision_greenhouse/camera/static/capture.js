@@ -6,8 +6,8 @@ const fill = (words, parts) => words.replace(/\{(\w+)\}/g, (_whole, name) => par
 
 const $ = (id) => document.getElementById(id);
 const address = new URLSearchParams(location.search);
-const AGAIN_MS = 1000, SILENCE_MS = 7000, CLOCK_S = 0.5;  // news come every 2 s
-const own = { round: address.get("round") || "", source: address.get("source") || "", home: "", watched: "", place: null, mine: null, walk: null, version: "", connected: false, simulated: null, waiting: 0, work: "", undone: "", rows: {}, along: ["m", 1] };
+const AGAIN_MS = 1000, PICTURE_MS = 200, SILENCE_MS = 7000, CLOCK_S = 0.5;
+const own = { round: address.get("round") || "", source: address.get("source") || "", home: "", watched: "", place: null, mine: null, walk: null, version: "", connected: false, simulated: null, shown: "", waiting: 0, work: "", undone: "", rows: {}, along: ["m", 1] };
 
 function show(node, words) {
   node.textContent = words;
@@ -70,8 +70,7 @@ function showWalk(walk) {
     own.watched = `${own.round} ${walk.source} ${walk.home}`;
     history.replaceState(null, "", `/capture?${new URLSearchParams({ round: own.round, source: own.source })}`);
     for (const link of document.querySelectorAll("a[data-page]")) link.href = `/${link.dataset.page}?round=${own.round}`;
-    watchNews();
-    watchPreview();
+    Object.assign(own, { shown: "", simulated: null });
   }
   const none = walk.missing ? [new Option(_("Choose a round"), "", true, true)] : [];
   $("round").replaceChildren(...none, ...walk.rounds.map((one) => new Option(one.name, one.key, false, one.key === walk.round)));
@@ -174,8 +173,6 @@ const presses = new Presses({
     if (own.connected === connected) return;
     own.connected = connected;
     drawWork();
-    if (connected) watchPreview();
-    else watchNews();
   },
 });
 let sound = null;
@@ -282,55 +279,42 @@ function drawWork() {
   show($("lost"), own.connected ? "" : lost);
 }
 
-// ---- News and pictures.
-// A line that is half open brings nothing and does not close: silence of `silence_ms` ends it, where that is not 0.
-function socket(path, binary, heard, state, silence_ms = 0) {
-  let line = null, ended = false, timer = 0, watch = 0;
-  const open = () => {
-    const mine = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}${path}`);
-    line = mine;
-    const over = () => {
-      clearTimeout(watch);
-      if (line !== mine || ended) return;
-      line = null;
-      mine.close();
-      state?.(false);
-      timer = setTimeout(open, AGAIN_MS);
-    };
-    const alive = () => {
-      clearTimeout(watch);
-      if (silence_ms) watch = setTimeout(over, silence_ms);
-    };
-    alive();
-    mine.binaryType = "arraybuffer";
-    mine.onopen = () => { if (line === mine) { alive(); state?.(true); } };
-    mine.onmessage = async (event) => {
-      if (line !== mine) return;
-      alive();
-      await heard(binary ? event.data : JSON.parse(event.data));
-      if (mine.readyState === WebSocket.OPEN) mine.send("next");
-    };
-    mine.onclose = over;
-  };
-  open();
-  return () => { ended = true; clearTimeout(timer); clearTimeout(watch); line?.close(); };
+// ---- News and pictures, asked for again and again; pictures only while the page is seen.
+const pause = (ms) => new Promise((resolve) => { setTimeout(resolve, ms); });
+
+async function ask(path) {
+  const answer = await fetch(path, { signal: AbortSignal.timeout(SILENCE_MS) });
+  if (!answer.ok) throw new Error();
+  return answer;
 }
 
-let endNews = null, endPreview = null;
-function watchNews() {
-  endNews?.();
-  endNews = socket(`/api/news?round=${own.home}`, false, (news) => {
-    const changed = own.version !== news.version || own.waiting !== news.work.waiting;
-    Object.assign(own, { version: news.version, waiting: news.work.waiting, work: news.work.words });
-    drawWork();
-    if (changed) readWalk();
-  }, (connected) => {
-    const back = connected && !own.connected;
+async function followNews() {
+  for (;;) {
+    let connected = true;
+    try {
+      const news = await (await ask(`/api/news?round=${own.home}`)).json();
+      const changed = own.version !== news.version || own.waiting !== news.work.waiting;
+      Object.assign(own, { version: news.version, waiting: news.work.waiting, work: news.work.words });
+      if (changed) readWalk();
+    } catch { connected = false; }
+    if (connected && !own.connected) { readWalk(); presses.resend(); }
     own.connected = connected;
     drawWork();
-    if (connected) { readWalk(); presses.resend(); }
-    if (back) watchPreview();
-  }, SILENCE_MS);
+    await pause(AGAIN_MS);
+  }
+}
+
+async function followPreview() {
+  for (;;) {
+    const { source, shown } = own;
+    try {
+      if (document.visibilityState === "visible") {
+        const answer = await ask(`/api/preview?source=${source}&shown=${shown}`);
+        if (answer.status === 200 && source === own.source) await showPreview(await answer.arrayBuffer());
+      }
+    } catch { /* The news say so. */ }
+    await pause(PICTURE_MS);
+  }
 }
 
 const urls = {};
@@ -345,6 +329,7 @@ async function showPreview(bytes) {
   const length = new DataView(bytes).getUint32(0, true);
   const header = JSON.parse(new TextDecoder().decode(new Uint8Array(bytes, 4, length)));
   const absent = header.state === "absent";
+  own.shown = header.number;
   if (absent && own.source === "camera" && !address.get("source")) {
     choose("replay");
     $("quality").textContent = _("No camera was found, so the replay is shown.");
@@ -365,19 +350,13 @@ async function showPreview(bytes) {
   if (own.simulated !== header.simulated) { own.simulated = header.simulated; readWalk(); }
 }
 
-function watchPreview() {
-  endPreview?.();
-  own.simulated = null;
-  endPreview = socket(`/api/preview?source=${own.source}`, true, showPreview);
-}
-
 function choose(source) {
   own.source = source;
   readWalk();
 }
 for (const name of ["camera", "replay"]) $(name).onclick = () => { address.set("source", name); choose(name); };
 $("swap").onclick = () => $("swap").parentElement.classList.toggle("depth");
-$("retry").onclick = async () => { await post("/api/camera", {}).catch(() => {}); watchPreview(); };
+$("retry").onclick = async () => { await post("/api/camera", {}).catch(() => {}); own.shown = ""; };
 
 // ---- Rounds and fields.
 $("round").onchange = () => { own.round = $("round").value; own.home = ""; readWalk(); };
@@ -501,5 +480,5 @@ $("take").focus({ preventScroll: true });
 drawWork();
 own.connected = true;
 drawWork();
-// What does not answer at the start is said as well.
-setTimeout(() => { if (!own.walk) { own.connected = false; drawWork(); readWalk(); watchNews(); } }, 3000);
+followNews();
+followPreview();

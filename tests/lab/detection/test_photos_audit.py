@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cucumbervision.errors import DataSetError
-from cucumbervision_lab.detection.photo_audit import (
+from cucumbervision_lab.detection.photos import (
     FIRST,
     OTHER_PLANTS,
     audit_test,

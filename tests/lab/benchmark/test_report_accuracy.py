@@ -6,12 +6,12 @@ import pytest
 
 from cucumbervision.accuracy.table import Cell, ReportTable
 from cucumbervision.measurement.result import LengthDefinition
-from cucumbervision_lab.benchmark.length_tables import (
+from cucumbervision_lab.benchmark.measure_case import LengthRecord, readings_frame
+from cucumbervision_lab.benchmark.report import (
     accuracy_table,
     comparable_readings,
     group_tables,
 )
-from cucumbervision_lab.benchmark.records import LengthRecord, readings_frame
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

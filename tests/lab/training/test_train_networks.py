@@ -9,7 +9,7 @@ if importlib.util.find_spec("ultralytics") is None:
     pytest.skip("needs the extra 'train'", allow_module_level=True)
 
 from cucumbervision.errors import ModelError, TrainingError
-from cucumbervision_lab.training.networks import allowed_threads, average_networks, load_yolo
+from cucumbervision_lab.training.train import allowed_threads, average_networks, load_yolo
 
 pytestmark = pytest.mark.train
 

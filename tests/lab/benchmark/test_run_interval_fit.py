@@ -5,13 +5,11 @@ from typing import TypeAlias
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from sklearn.ensemble import GradientBoostingRegressor
 
 from cucumbervision.measurement.intervals import Band, IntervalModel, Trees
-from cucumbervision_lab.benchmark.interval_fit import (
+from cucumbervision_lab.benchmark.run import (
     conformal_quantile,
     fit_interval_model,
-    fitted_trees,
 )
 
 Array: TypeAlias = NDArray[np.float64]
@@ -85,14 +83,6 @@ def test_readings_of_one_fruit_stay_in_one_fifth() -> None:
     assert apart.bands[""].count == mixed.bands[""].count == 1000
 
 
-def test_missing_features_count_as_zero() -> None:
-    by_tilt = Trees(np.log(0.01), ((0, 0, 0),), ((0.5, 0.2, 0.8),), ((0.0, 0.3, 0.6, 1.0),))
-    bands = {"": Band(1.0, 1.0, 9)}
-    model = IntervalModel("M6", 0.9, ("tilt",), by_tilt, Trees(np.log(0.02)), bands)
-    assert model.spreads({}) == pytest.approx((0.01, 0.02))
-    assert model.spreads({"tilt": 1.0}) == pytest.approx((0.01 * np.e, 0.02))
-
-
 def test_groups_cover_by_themselves() -> None:
     rng = np.random.default_rng(11)
     edges = (("tilt", (0.5,)),)
@@ -111,34 +101,3 @@ def test_groups_cover_by_themselves() -> None:
     covered = np.array([low <= 1 <= high for low, high in ends])
     for group in (tilt < 0.5, tilt >= 0.5):
         assert covered[group].mean() == pytest.approx(0.90, abs=0.025)
-
-
-def test_a_group_of_few_goes_with_all() -> None:
-    rng = np.random.default_rng(12)
-    tilt = np.append(rng.uniform(0, 0.4, 400), 0.9)
-    model = fit_interval_model(
-        "M6", rng.normal(0, 0.01, 401), {"tilt": tilt}, np.arange(401).astype(str),
-        edges=(("tilt", (0.5,)),),
-    )  # fmt: skip
-    assert model.band({"tilt": 0.9}) == model.bands[""]
-    assert model.band({"tilt": 0.1}) == model.bands["0"]
-
-
-def test_trees_are_those_of_scikit_learn() -> None:
-    rng = np.random.default_rng(13)
-    rows = rng.uniform(0, 1, (600, 3))
-    target = np.where(rows[:, 0] > 0.5, rows[:, 1], 0.2) * rng.normal(1, 0.2, 600)
-    trees = fitted_trees(target, rows)
-    expected = GradientBoostingRegressor(
-        loss="quantile", alpha=0.9, n_estimators=60, learning_rate=0.08, max_depth=2,
-        min_samples_leaf=40, random_state=0,
-    ).fit(rows, target)  # fmt: skip
-    assert len(trees.leaves) == 60
-    assert [trees.value(row) for row in rows] == pytest.approx(expected.predict(rows).tolist())
-
-
-def test_where_too_few_tell_nothing_is_split() -> None:
-    """Of 79 readings none can be split into two parts of 40."""
-    rows, target = np.arange(79.0)[:, None], np.arange(79.0)
-    trees = fitted_trees(target, rows)
-    assert {trees.value(np.array([x])) for x in (0.0, 78.0)} == {trees.value(np.array([40.0]))}

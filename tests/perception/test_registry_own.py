@@ -11,8 +11,14 @@ from typer.testing import CliRunner
 from cucumbervision.cli.models import app
 from cucumbervision.errors import ModelError
 from cucumbervision.perception.networks import NetworkLoader
-from cucumbervision.perception.own_networks import JUDGEMENT, use_network, use_shipped
-from cucumbervision.perception.registry import IN_USE, file_sha256, load_registry
+from cucumbervision.perception.registry import (
+    IN_USE,
+    JUDGEMENT,
+    file_sha256,
+    load_registry,
+    use_network,
+    use_shipped,
+)
 
 SHIPPED = load_registry(user=Path("/nowhere"))
 DETECTOR = SHIPPED.resolve("cucumber-seg")["network"]

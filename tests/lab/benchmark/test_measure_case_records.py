@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from cucumbervision.errors import CucumberVisionError, MissingExtraError
-from cucumbervision_lab.benchmark.records import (
+from cucumbervision_lab.benchmark.measure_case import (
     LengthRecord,
     Masks,
     append_record,

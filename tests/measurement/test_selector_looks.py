@@ -11,7 +11,6 @@ from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.instances.crops import EndCrop, EndLook
 from cucumbervision.instances.instance import Instance, MaskSource
 from cucumbervision.instances.masks import box_of_mask
-from cucumbervision.measurement.end_looks import DOUBTFUL, end_flag, with_end_looks
 from cucumbervision.measurement.flags import Flag, flag_remarks
 from cucumbervision.measurement.intervals import (
     LOOKED,
@@ -25,7 +24,7 @@ from cucumbervision.measurement.intervals import (
     tube_features,
 )
 from cucumbervision.measurement.result import Fruit, MethodName, TubeFit
-from cucumbervision.measurement.selector import measure_fruit
+from cucumbervision.measurement.selector import DOUBTFUL, end_flag, measure_fruit, with_end_looks
 from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
 from cucumbervision_lab.synthesis.scene import Scene, render
 

@@ -11,8 +11,7 @@ import pytest
 from cucumbervision.agronomy.profiles import load_profile, profile_path
 from cucumbervision.errors import ModelError, ModelHashError, ProfileError
 from cucumbervision.perception.registry import file_sha256
-from cucumbervision.pipeline.crop_pack import read_pack
-from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision.pipeline.options import MeasureOptions, read_pack
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cucumbervision.measurement.result import INTERVAL_Z, Length, LengthDefinition, LengthKind
-from cucumbervision.streaming.track_lengths import FIXED, TrackLength
+from cucumbervision.streaming.tracks import FIXED, TrackLength
 
 HERE, THERE = np.array([0.0, 0.0, 0.5]), np.array([0.2, 0.0, 0.5])
 SCALE = 0.01

@@ -20,8 +20,7 @@ from cucumbervision.measurement.result import (
     MethodName,
     Reason,
 )
-from cucumbervision.pipeline.acceptance import accepted_fruit, with_unit_doubts
-from cucumbervision.pipeline.measurer import Measurer
+from cucumbervision.pipeline.measurer import Measurer, accepted_fruit, with_unit_doubts
 from cucumbervision.pipeline.options import MeasureOptions
 
 LENGTHS_M, DIAMETERS_M = (0.05, 0.80), (0.012, 0.07)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.agronomy import classes
+from cucumbervision.agronomy import grades
 from cucumbervision.agronomy.grades import UNDECIDED, class_name
 from cucumbervision.measurement.flags import FLAGS
 from cucumbervision_greenhouse.core_words import words_of
@@ -300,7 +300,7 @@ def choice_words(names: Iterable[str]) -> str:
     >>> choice_words(("too short", "II", "I", "too long"))
     'too short, class II, I or too long'
     """
-    return words_of(classes.choice_words(names))
+    return words_of(grades.choice_words(names))
 
 
 # Reasons that the core gives for a class; those of a crop profile of one's own stay as they are.

@@ -326,7 +326,7 @@ def grade_words(graded: Grade) -> str:
 
     Examples
     --------
-    >>> from cucumbervision.agronomy.grades import Grade
+    >>> from cucumbervision.agronomy.grades import UNDECIDED, Grade, GradeStatus
     >>> grade_words(Grade(GradeStatus.UNDECIDED, UNDECIDED, (), {}, possible=("II", "I")))
     'undecided: class II or I'
     """

@@ -15,7 +15,7 @@ collect_ignore_glob = (
     [] if find_spec("streamlit") else ["src/cucumbervision_greenhouse/pages/*"]
 )
 # The examples of these files compute with torch.
-_WITH_TORCH = ["src/cucumbervision_lab/training/losses.py"]
+_WITH_TORCH = ["src/cucumbervision_lab/train/losses.py"]
 if not find_spec("torch"):
     collect_ignore_glob += _WITH_TORCH
 # Files of which something was skipped here: `.ci/run` runs them again where nothing is missing.

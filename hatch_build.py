@@ -16,7 +16,7 @@ from typing import Any
 
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
-KERNEL = Path("src/cucumbervision/geometry/kernel")
+KERNEL = Path("src/cucumbervision/tube/kernel")
 # No processor beyond the architecture's baseline, no fused or reordered sums: every machine gives
 # the same lengths. Symbols are the library's own, whatever another one calls so.
 FLAGS = (

@@ -30,11 +30,11 @@ from rich.table import Table
 
 from cucumbervision.capture.pictures import read_color
 from cucumbervision.capture.source import ReadOptions
-from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
-from cucumbervision.perception.looks import PictureLooks
-from cucumbervision.perception.yolo import YoloDetector
-from cucumbervision.pipeline.inputs import read_captures
-from cucumbervision.pipeline.measurer import Failure
+from cucumbervision.networks.confidence import DEFAULT_CONFIDENCE
+from cucumbervision.networks.looks import PictureLooks
+from cucumbervision.networks.yolo import YoloDetector
+from cucumbervision.run.inputs import read_captures
+from cucumbervision.run.measurer import Failure
 from cucumbervision_lab.detection.outcomes import match_detections
 from cucumbervision_lab.detection.photos import audited_photos, half_size
 from cucumbervision_lab.detection.picture_result import Networks, merge_detections, open_networks

@@ -27,8 +27,8 @@ from rich.console import Console
 from rich.table import Table
 
 from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision.instances.masks import distances_inside
-from cucumbervision.measurement.m6 import measure_m6
+from cucumbervision.fruit.masks import distances_inside
+from cucumbervision.methods.m6 import measure_m6
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -25,13 +25,13 @@ from cucumbervision.capture.frames import Capture, fuse_burst, valid_depth
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import ReadOptions
-from cucumbervision.instances.masks import distances_inside
-from cucumbervision.pipeline.measurer import Measurer
-from cucumbervision.pipeline.options import MeasureOptions
-from cucumbervision_lab.synthesis.bodies import Variety, random_fruit, rotation
-from cucumbervision_lab.synthesis.compose import Setting, compose
-from cucumbervision_lab.synthesis.depth_camera import VGA, D4xx, sense
-from cucumbervision_lab.synthesis.scene import Scene, truth_of
+from cucumbervision.fruit.masks import distances_inside
+from cucumbervision.run.measurer import Measurer
+from cucumbervision.run.options import MeasureOptions
+from cucumbervision_lab.scenes.bodies import Variety, random_fruit, rotation
+from cucumbervision_lab.scenes.compose import Setting, compose
+from cucumbervision_lab.scenes.depth_camera import VGA, D4xx, sense
+from cucumbervision_lab.scenes.scene import Scene, truth_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator

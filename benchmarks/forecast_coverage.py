@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 from tests.simulated_houses import HouseSettings, SimulatedHouse, simulate_house
 
-from cucumbervision.agronomy.profiles import CropProfile, load_profile
-from cucumbervision_greenhouse.agronomy.forecast import Counts, DetectionRates, Forecast, forecast
-from cucumbervision_greenhouse.agronomy.growth import GrowthPrior, Spreads, fit_growth
+from cucumbervision.crop.profiles import CropProfile, load_profile
+from cucumbervision_greenhouse.forecast.forecast import Counts, DetectionRates, Forecast, forecast
+from cucumbervision_greenhouse.forecast.growth import GrowthPrior, Spreads, fit_growth
 
 NAIVE_M_PER_DAY = 0.03
 # How far the true spreads may be from the profile's: of rows, fruit, days and fruit's days.

@@ -28,22 +28,22 @@ from scipy.optimize import least_squares
 
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.capture.source import ReadOptions
-from cucumbervision.geometry.curve import points_along, polyline_length
-from cucumbervision.instances.masks import box_of_mask
-from cucumbervision.measurement.flags import Flag
-from cucumbervision.measurement.result import MethodName
-from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE, parse_input_sizes
-from cucumbervision.pipeline.inputs import read_captures
-from cucumbervision.pipeline.measurer import Failure, Measurer
-from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision.tube.curve import points_along, polyline_length
+from cucumbervision.fruit.masks import box_of_mask
+from cucumbervision.methods.flags import Flag
+from cucumbervision.methods.result import MethodName
+from cucumbervision.networks.confidence import DEFAULT_CONFIDENCE, parse_input_sizes
+from cucumbervision.run.inputs import read_captures
+from cucumbervision.run.measurer import Failure, Measurer
+from cucumbervision.run.options import MeasureOptions
 from cucumbervision_lab.detection.outcomes import match_boxes
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from cucumbervision.capture.frames import Capture
-    from cucumbervision.measurement.result import Fruit
-    from cucumbervision.pipeline.measurer import CaptureResult
+    from cucumbervision.methods.result import Fruit
+    from cucumbervision.run.measurer import CaptureResult
 
 MARKED = Path(__file__).with_name("greenhouse_captures.json")
 

@@ -20,7 +20,7 @@ import pandas as pd
 from rich.console import Console
 from rich.table import Table
 
-from cucumbervision.measurement.intervals import WIDEST, shipped_interval_models
+from cucumbervision.methods.intervals import WIDEST, shipped_interval_models
 from cucumbervision_lab.benchmark.cases import stress_cases
 from cucumbervision_lab.benchmark.measure_case import CaseOptions, Masks, readings_frame
 from cucumbervision_lab.benchmark.run import TRUTH_OF, run_cases, with_intervals

@@ -22,27 +22,27 @@ from rich.progress import track
 from rich.table import Table
 
 from cucumbervision.capture.frames import Capture, median_depth
-from cucumbervision.instances.instance import Instance, MaskSource
-from cucumbervision.instances.masks import box_of_mask
-from cucumbervision.measurement.matching import pooled_length
-from cucumbervision.measurement.result import (
+from cucumbervision.fruit.instance import Instance, MaskSource
+from cucumbervision.fruit.masks import box_of_mask
+from cucumbervision.methods.matching import pooled_length
+from cucumbervision.methods.result import (
     INTERVAL_Z,
     LengthDefinition,
     MethodName,
     Selector,
 )
-from cucumbervision.measurement.selector import measure_fruit
-from cucumbervision.pipeline.finders import make_finder
-from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision.methods.selector import measure_fruit
+from cucumbervision.run.finders import make_finder
+from cucumbervision.run.options import MeasureOptions
 from cucumbervision_lab.benchmark.cases import CAMERA, build_scene, paint_scene, stress_cases
 from cucumbervision_lab.benchmark.measure_case import disturb_mask, draw_disturbance, found_at
-from cucumbervision_lab.synthesis.depth_camera import D4xx, sense
-from cucumbervision_lab.synthesis.scene import render
+from cucumbervision_lab.scenes.depth_camera import D4xx, sense
+from cucumbervision_lab.scenes.scene import render
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from cucumbervision.measurement.result import Fruit
+    from cucumbervision.methods.result import Fruit
     from cucumbervision_lab.benchmark.cases import Case
 
     Find = Callable[[Capture], Sequence[Instance]]

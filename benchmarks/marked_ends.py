@@ -25,16 +25,16 @@ from rich.table import Table
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.pictures import read_color
-from cucumbervision.geometry.curve import arc_positions, points_along
-from cucumbervision.instances.crops import EndCrop, end_crop
-from cucumbervision.instances.masks import distances_inside
-from cucumbervision.measurement.selector import DOUBTFUL
-from cucumbervision.perception.keypoint_axis import axis_line
-from cucumbervision.perception.looks import EndLooker
-from cucumbervision.perception.registry import load_registry
-from cucumbervision.pipeline.measurer import Measurer
-from cucumbervision.pipeline.options import MeasureOptions
-from cucumbervision_lab.training.end_look import area_under_curve
+from cucumbervision.tube.curve import arc_positions, points_along
+from cucumbervision.fruit.crops import EndCrop, end_crop
+from cucumbervision.fruit.masks import distances_inside
+from cucumbervision.methods.selector import DOUBTFUL
+from cucumbervision.networks.keypoint_axis import axis_line
+from cucumbervision.networks.looks import EndLooker
+from cucumbervision.networks.registry import load_registry
+from cucumbervision.run.measurer import Measurer
+from cucumbervision.run.options import MeasureOptions
+from cucumbervision_lab.train.end_look import area_under_curve
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

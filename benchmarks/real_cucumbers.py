@@ -41,21 +41,21 @@ from rich.console import Console
 from rich.table import Table
 
 from cucumbervision.capture.source import ReadOptions
-from cucumbervision.geometry.curve import polyline_length
-from cucumbervision.measurement.flags import Flag
-from cucumbervision.measurement.methods import AVAILABLE
-from cucumbervision.measurement.result import MethodName
-from cucumbervision.perception.confidence import parse_input_sizes
-from cucumbervision.pipeline.inputs import read_captures
-from cucumbervision.pipeline.measurer import Failure, Measurer
-from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision.tube.curve import polyline_length
+from cucumbervision.methods.flags import Flag
+from cucumbervision.methods.methods import AVAILABLE
+from cucumbervision.methods.result import MethodName
+from cucumbervision.networks.confidence import parse_input_sizes
+from cucumbervision.run.inputs import read_captures
+from cucumbervision.run.measurer import Failure, Measurer
+from cucumbervision.run.options import MeasureOptions
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cucumbervision.capture.frames import Capture
     from cucumbervision.capture.intrinsics import Intrinsics
-    from cucumbervision.measurement.result import Fruit
+    from cucumbervision.methods.result import Fruit
 
 MARKED = Path(__file__).with_suffix(".json")
 PLACES = ("beside_ruler", "on_grid")

@@ -34,8 +34,8 @@ from numpy.typing import NDArray
 from cucumbervision import Capture, Instance, Intrinsics, LengthKind, Measurement, TableTrait
 from cucumbervision.capture.pictures import read_color, read_depth
 from cucumbervision.errors import IntrinsicsError
-from cucumbervision.measurement.methods import Region, TableMethod
-from cucumbervision.measurement.result import Fruit, Reason
+from cucumbervision.methods.methods import Region, TableMethod
+from cucumbervision.methods.result import Fruit, Reason
 
 if TYPE_CHECKING:
     from cucumbervision.capture.source import CaptureLister, Folder, ReadOptions

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision_lab.synthesis.bodies import Tube
-from cucumbervision_lab.synthesis.scene import Kind, Scene, View, render
+from cucumbervision_lab.scenes.bodies import Tube
+from cucumbervision_lab.scenes.scene import Kind, Scene, View, render
 
 # The same examples in every run: a new one belongs to whoever looks for it (`pytest
 # --hypothesis-profile=default`), not to whoever changed something else.

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cucumbervision_greenhouse.agronomy.growth import Link, Spreads, rate_share
-from cucumbervision_greenhouse.agronomy.length_draws import FruitState
+from cucumbervision_greenhouse.forecast.growth import Link, Spreads, rate_share
+from cucumbervision_greenhouse.forecast.length_draws import FruitState
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ def simulate_house(settings: HouseSettings, seed: int) -> SimulatedHouse:
 
     Examples
     --------
-    >>> from cucumbervision_greenhouse.agronomy.growth import Spreads
+    >>> from cucumbervision_greenhouse.forecast.growth import Spreads
     >>> spreads = Spreads(0.006, 0.002, 0.005, 0.003, 0.003)
     >>> house = simulate_house(HouseSettings(0.03, spreads, links=20), seed=1)
     >>> house.lengths_m.shape, len(house.links)

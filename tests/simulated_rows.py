@@ -1,6 +1,6 @@
 """Simulated rows of known truth: fruit along a row, and what each stop's capture shows of them.
 
-Fruit have the sizes of `cucumbervision_lab.synthesis.bodies`; what a capture shows of them is drawn
+Fruit have the sizes of `cucumbervision_lab.scenes.bodies`; what a capture shows of them is drawn
 at random, with the errors that the benchmark of single captures found. No pictures are drawn.
 """
 
@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cucumbervision.measurement.matching import ALONG, DEPTH, UP
+from cucumbervision.methods.matching import ALONG, DEPTH, UP
 from cucumbervision_greenhouse.rounds.row_views import RowStops, RowViews
-from cucumbervision_lab.synthesis.bodies import random_fruit
+from cucumbervision_lab.scenes.bodies import random_fruit
 
 _SIZES = 64  # bodies drawn, from which fruit take their thickness
 _UNFLAGGED = 0.2  # share of hidden fruit that nothing tells from whole ones

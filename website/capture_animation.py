@@ -19,8 +19,8 @@ from PIL import Image
 from cucumbervision import MeasureOptions, Measurer, draw_overlay, open_source
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.source import example_captures
-from cucumbervision.measurement.result import Fruit
-from cucumbervision.pipeline.overlay import COLORS, draw_path, draw_region
+from cucumbervision.methods.result import Fruit
+from cucumbervision.run.overlay import COLORS, draw_path, draw_region
 from cucumbervision_greenhouse.fruit_pictures import depth_picture
 from cucumbervision_greenhouse.settings import Units
 

@@ -20,18 +20,18 @@ from cucumbervision.capture.frames import Capture, Stop
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.pictures import read_color, read_depth, write_jpeg
 from cucumbervision.capture.readers.native import write_native
-from cucumbervision_lab.synthesis.appearance import FAR, Assets, random_style
-from cucumbervision_lab.synthesis.bodies import Tube, arc_tube, rotation
-from cucumbervision_lab.synthesis.color_camera import Exposure, expose
-from cucumbervision_lab.synthesis.colors import jitter
-from cucumbervision_lab.synthesis.compose import Setting
-from cucumbervision_lab.synthesis.depth_camera import D4xx, sense
-from cucumbervision_lab.synthesis.lighting import Light
-from cucumbervision_lab.synthesis.placing import foliage
-from cucumbervision_lab.synthesis.raycast import Plane, Stem, scaled_camera
-from cucumbervision_lab.synthesis.scene import FruitTruth, Scene, render, truth_of
-from cucumbervision_lab.synthesis.shading import shade
-from cucumbervision_lab.synthesis.skin import random_skin
+from cucumbervision_lab.scenes.appearance import FAR, Assets, random_style
+from cucumbervision_lab.scenes.bodies import Tube, arc_tube, rotation
+from cucumbervision_lab.scenes.color_camera import Exposure, expose
+from cucumbervision_lab.scenes.colors import jitter
+from cucumbervision_lab.scenes.compose import Setting
+from cucumbervision_lab.scenes.depth_camera import D4xx, sense
+from cucumbervision_lab.scenes.lighting import Light
+from cucumbervision_lab.scenes.placing import foliage
+from cucumbervision_lab.scenes.raycast import Plane, Stem, scaled_camera
+from cucumbervision_lab.scenes.scene import FruitTruth, Scene, render, truth_of
+from cucumbervision_lab.scenes.shading import shade
+from cucumbervision_lab.scenes.skin import random_skin
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -24,21 +24,21 @@ from PIL import Image
 
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
-from cucumbervision.geometry.curve import align_near
-from cucumbervision.instances.masks import box_of_mask
-from cucumbervision.measurement.m6 import TubeView, view_tube
-from cucumbervision.measurement.methods import GATE_M, Region, run_methods
-from cucumbervision.measurement.paper_methods import (
+from cucumbervision.tube.curve import align_near
+from cucumbervision.fruit.masks import box_of_mask
+from cucumbervision.methods.m6 import TubeView, view_tube
+from cucumbervision.methods.methods import GATE_M, Region, run_methods
+from cucumbervision.methods.paper_methods import (
     M1_WINDOW_PX,
     reference_depth,
     sample_grid,
     window_depths,
 )
-from cucumbervision.measurement.paper_methods import M1_WINDOW_PX as M4_WINDOW_PX
-from cucumbervision.measurement.result import Measurement, MethodName
-from cucumbervision.measurement.traits import TubeTraits
-from cucumbervision_lab.synthesis.bodies import Tube
-from cucumbervision_lab.synthesis.scene import FruitTruth, truth_of
+from cucumbervision.methods.paper_methods import M1_WINDOW_PX as M4_WINDOW_PX
+from cucumbervision.methods.result import Measurement, MethodName
+from cucumbervision.methods.traits import TubeTraits
+from cucumbervision_lab.scenes.bodies import Tube
+from cucumbervision_lab.scenes.scene import FruitTruth, truth_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -12,11 +12,11 @@ import numpy as np
 from figures import Figure
 
 from cucumbervision.capture.frames import Capture
-from cucumbervision.instances.masks import box_ious
-from cucumbervision.perception.runtime import import_onnxruntime
-from cucumbervision.pipeline.measurer import Measurer
-from cucumbervision.pipeline.options import MeasureOptions
-from cucumbervision.streaming.stream import FruitStream
+from cucumbervision.fruit.masks import box_ious
+from cucumbervision.networks.runtime import import_onnxruntime
+from cucumbervision.run.measurer import Measurer
+from cucumbervision.run.options import MeasureOptions
+from cucumbervision.stream.stream import FruitStream
 from speeds.frames import MODELS, bundled, five_fruit, overlapped
 from speeds.stages import StageClock
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
-from cucumbervision.pipeline.measurer import Measurer
+from cucumbervision.run.measurer import Measurer
 from cucumbervision_greenhouse.rounds.adding import add_captures
 from cucumbervision_greenhouse.settings import Settings, settings_file, write_settings
 from cucumbervision_greenhouse.store.records import Round, key_of

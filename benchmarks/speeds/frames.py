@@ -13,12 +13,12 @@ from statistics import median
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
-from cucumbervision.pipeline.batch import Engine
-from cucumbervision.pipeline.measurer import Failure
-from cucumbervision.pipeline.options import MeasureOptions
-from cucumbervision.pipeline.run import BatchOptions, measure_inputs
-from cucumbervision.streaming.sources import in_order
-from cucumbervision.streaming.stream import FruitStream
+from cucumbervision.run.batch import Engine
+from cucumbervision.run.measurer import Failure
+from cucumbervision.run.options import MeasureOptions
+from cucumbervision.run.run import BatchOptions, measure_inputs
+from cucumbervision.stream.sources import in_order
+from cucumbervision.stream.stream import FruitStream
 
 MODELS = MeasureOptions(instances="models")
 

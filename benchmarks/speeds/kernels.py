@@ -14,13 +14,13 @@ from scipy.interpolate import CubicSpline
 
 from cucumbervision.capture.frames import median_depth
 from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision.geometry.tube_kernel import kernel_name
-from cucumbervision.instances.masks import box_of_mask
-from cucumbervision.measurement.methods import Region, run_methods
-from cucumbervision.measurement.result import MethodName
-from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
-from cucumbervision_lab.synthesis.depth_camera import D4xx, sense
-from cucumbervision_lab.synthesis.scene import Scene, render
+from cucumbervision.tube.tube_kernel import kernel_name
+from cucumbervision.fruit.masks import box_of_mask
+from cucumbervision.methods.methods import Region, run_methods
+from cucumbervision.methods.result import MethodName
+from cucumbervision_lab.scenes.bodies import arc_tube, rotation
+from cucumbervision_lab.scenes.depth_camera import D4xx, sense
+from cucumbervision_lab.scenes.scene import Scene, render
 
 CAMERA = Intrinsics(1280, 720, 910.0, 910.0, 640.0, 360.0)
 

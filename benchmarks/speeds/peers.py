@@ -9,8 +9,8 @@ from statistics import median
 
 from figures import Figure
 
-from cucumbervision.measurement.methods import run_methods
-from cucumbervision.measurement.result import MethodName
+from cucumbervision.methods.methods import run_methods
+from cucumbervision.methods.result import MethodName
 from cucumbervision_lab.benchmark.baselines import BASELINES, available_baselines
 from speeds.kernels import CAMERA, PAPER_METHODS, draw_region, floor, fresh, milliseconds
 

@@ -8,8 +8,8 @@ from statistics import median
 
 from figures import Figure
 
-from cucumbervision.pipeline.batch import in_process
-from cucumbervision.pipeline.measurer import Measurer
+from cucumbervision.run.batch import in_process
+from cucumbervision.run.measurer import Measurer
 from speeds.frames import MODELS, bundled, five_fruit, pace
 from speeds.stages import StageClock
 

@@ -13,12 +13,12 @@ from figures import Figure
 
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.source import example_captures
-from cucumbervision.pipeline.folder import OutputFolder
-from cucumbervision.pipeline.inputs import Listed, list_captures
-from cucumbervision.pipeline.measurer import Measurer
-from cucumbervision.pipeline.run import FolderWorker
-from cucumbervision.streaming import stream as streaming
-from cucumbervision.streaming.stream import FruitStream
+from cucumbervision.run.folder import OutputFolder
+from cucumbervision.run.inputs import Listed, list_captures
+from cucumbervision.run.measurer import Measurer
+from cucumbervision.run.run import FolderWorker
+from cucumbervision.stream import stream as streaming
+from cucumbervision.stream.stream import FruitStream
 from speeds.frames import MODELS, overlapped
 from speeds.stages import StageClock, by_stage, stage_ms
 

@@ -6,7 +6,7 @@ import os
 
 from figures import Figure
 
-from cucumbervision.pipeline.batch import Processes
+from cucumbervision.run.batch import Processes
 from speeds.frames import GIVEN, MODELS, pace
 
 

@@ -32,12 +32,12 @@ PACKAGE = "cucumbervision"
 
 _OWN: Mapping[Kind, Mapping[str, str]] = {
     "methods": {
-        "M1": "cucumbervision.measurement.paper_methods:M1",
-        "M2": "cucumbervision.measurement.paper_methods:M2",
-        "M3": "cucumbervision.measurement.paper_methods:M3",
-        "M4": "cucumbervision.measurement.paper_methods:M4",
-        "M5": "cucumbervision.measurement.paper_methods:M5",
-        "M6": "cucumbervision.measurement.m6:METHOD",
+        "M1": "cucumbervision.methods.paper_methods:M1",
+        "M2": "cucumbervision.methods.paper_methods:M2",
+        "M3": "cucumbervision.methods.paper_methods:M3",
+        "M4": "cucumbervision.methods.paper_methods:M4",
+        "M5": "cucumbervision.methods.paper_methods:M5",
+        "M6": "cucumbervision.methods.m6:METHOD",
     },
     "readers": {
         "native": "cucumbervision.capture.readers.native:find_native",
@@ -45,7 +45,7 @@ _OWN: Mapping[Kind, Mapping[str, str]] = {
         "viewer": "cucumbervision.capture.readers.viewer:find_snapshots",
         "pair": "cucumbervision.capture.readers.pair:find_pairs",
     },
-    "traits": {"skin_yellow_share": "cucumbervision.measurement.skin:skin_yellow_share"},
+    "traits": {"skin_yellow_share": "cucumbervision.methods.skin:skin_yellow_share"},
 }
 """The package's own, by name: a new one is a file, and a line here. (Networks: `models.toml`.)"""
 

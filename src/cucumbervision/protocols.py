@@ -15,10 +15,10 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.frames import Capture
     from cucumbervision.capture.source import CaptureLister, Folder
-    from cucumbervision.instances.instance import Instance
-    from cucumbervision.measurement.methods import Region
-    from cucumbervision.measurement.result import Fruit, LengthKind, Measurement
-    from cucumbervision.measurement.traits import TraitValue
+    from cucumbervision.fruit.instance import Instance
+    from cucumbervision.methods.methods import Region
+    from cucumbervision.methods.result import Fruit, LengthKind, Measurement
+    from cucumbervision.methods.traits import TraitValue
 
 
 class Detector(Protocol):

@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
-from cucumbervision.instances.mask_codes import decode_rle
-from cucumbervision.measurement.methods import method_color
-from cucumbervision.measurement.paper_methods import window_depths
-from cucumbervision.pipeline.overlay import as_jpeg, mask_outlines, path_px
+from cucumbervision.fruit.mask_codes import decode_rle
+from cucumbervision.methods.methods import method_color
+from cucumbervision.methods.paper_methods import window_depths
+from cucumbervision.run.overlay import as_jpeg, mask_outlines, path_px
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.words import label_words, length_words
 

@@ -19,12 +19,12 @@ from cucumbervision.errors import (
     InstancesError,
     StoreAwayError,
 )
-from cucumbervision.instances.instance import Instance, MaskSource
-from cucumbervision.instances.mask_codes import decode_rle
-from cucumbervision.instances.masks import box_of_mask, mask_iou
-from cucumbervision.measurement.flags import Flag
-from cucumbervision.pipeline.batch import in_turn
-from cucumbervision.pipeline.measurer import Failure, Measurer
+from cucumbervision.fruit.instance import Instance, MaskSource
+from cucumbervision.fruit.mask_codes import decode_rle
+from cucumbervision.fruit.masks import box_of_mask, mask_iou
+from cucumbervision.methods.flags import Flag
+from cucumbervision.run.batch import in_turn
+from cucumbervision.run.measurer import Failure, Measurer
 from cucumbervision_greenhouse.rounds.adding import (
     RoundCapture,
     add_all,
@@ -40,10 +40,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from cucumbervision.measurement.result import Fruit
-    from cucumbervision.perception.networks import NetworkSegmenter
-    from cucumbervision.perception.registry import Registry
-    from cucumbervision.pipeline.options import MeasureOptions
+    from cucumbervision.methods.result import Fruit
+    from cucumbervision.networks.networks import NetworkSegmenter
+    from cucumbervision.networks.registry import Registry
+    from cucumbervision.run.options import MeasureOptions
     from cucumbervision_greenhouse.jobs import Job
     from cucumbervision_greenhouse.store.records import (
         CaptureRecord,
@@ -290,7 +290,7 @@ class SharedMeasurer:
     def _sam(self) -> NetworkSegmenter:
         with self._lock:
             if self._segmenter is None:
-                from cucumbervision.perception.networks import open_segmenter
+                from cucumbervision.networks.networks import open_segmenter
 
                 self._segmenter = open_segmenter(prompt="box", registry=self._registry)
             return self._segmenter

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 
 import streamlit as st
 
-from cucumbervision.agronomy.profiles import CropProfile, load_profile, profiles
+from cucumbervision.crop.profiles import CropProfile, load_profile, profiles
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.names import house_key
-from cucumbervision.perception.registry import Registry, load_registry
+from cucumbervision.networks.registry import Registry, load_registry
 from cucumbervision_greenhouse.access import VIEWER, device_of
 from cucumbervision_greenhouse.core_words import words_of
 from cucumbervision_greenhouse.jobs import JobQueue

@@ -10,7 +10,7 @@ from typing import Any
 import streamlit as st
 
 from cucumbervision.capture.frames import Capture
-from cucumbervision_greenhouse.agronomy.forecast import Forecast
+from cucumbervision_greenhouse.forecast.forecast import Forecast
 from cucumbervision_greenhouse.fruit_pictures import as_data_url, crop
 from cucumbervision_greenhouse.resources import (
     KEPT,

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
-from cucumbervision.agronomy.grades import grade
-from cucumbervision.pipeline.fields import FIELDS
+from cucumbervision.crop.grades import grade
+from cucumbervision.run.fields import FIELDS
 from cucumbervision_greenhouse.language import decimal_words
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.rounds.fruit_table import hanging_lengths_m, round_figures
@@ -25,8 +25,8 @@ from cucumbervision_greenhouse.words import (
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from cucumbervision.agronomy.grades import Grade
-    from cucumbervision.agronomy.profiles import CropProfile
+    from cucumbervision.crop.grades import Grade
+    from cucumbervision.crop.profiles import CropProfile
     from cucumbervision_greenhouse.rounds.day_comparison import FruitChange
     from cucumbervision_greenhouse.rounds.from_store import RoundContent
     from cucumbervision_greenhouse.rounds.fruit_table import RoundFigures

@@ -10,14 +10,14 @@ from typing import Annotated, Literal, get_args
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
-from cucumbervision.agronomy.profiles import load_profile
+from cucumbervision.crop.profiles import load_profile
 from cucumbervision.capture.realsense_device import CameraSettings
 from cucumbervision.capture.source import ReadOptions
 from cucumbervision.errors import CucumberVisionError, wrap_os_errors
-from cucumbervision.measurement.result import LengthDefinition, Selector
-from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
-from cucumbervision.pipeline.options import MeasureOptions
-from cucumbervision_greenhouse.agronomy.picking import Rates
+from cucumbervision.methods.result import LengthDefinition, Selector
+from cucumbervision.networks.confidence import DEFAULT_CONFIDENCE
+from cucumbervision.run.options import MeasureOptions
+from cucumbervision_greenhouse.forecast.picking import Rates
 from cucumbervision_greenhouse.language import number_words
 
 STORE_VARIABLE = "CUCUMBERVISION_STORE"

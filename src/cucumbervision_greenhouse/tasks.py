@@ -10,7 +10,7 @@ import streamlit as st
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import StoreError
-from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision.run.options import MeasureOptions
 from cucumbervision_greenhouse.jobs import Job
 from cucumbervision_greenhouse.language import marked
 from cucumbervision_greenhouse.measuring import measure_waiting

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.agronomy import grades
-from cucumbervision.agronomy.grades import UNDECIDED, class_name
-from cucumbervision.measurement.flags import FLAGS
+from cucumbervision.crop import grades
+from cucumbervision.crop.grades import UNDECIDED, class_name
+from cucumbervision.methods.flags import FLAGS
 from cucumbervision_greenhouse.core_words import words_of
 from cucumbervision_greenhouse.language import (
     counted,
@@ -28,11 +28,11 @@ from cucumbervision_greenhouse.rounds.merge_and_link import DAY_S
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from cucumbervision.agronomy.grades import Grade
+    from cucumbervision.crop.grades import Grade
     from cucumbervision.capture.frames import Stop
-    from cucumbervision_greenhouse.agronomy.forecast import Forecast
-    from cucumbervision_greenhouse.agronomy.growth import Growth
-    from cucumbervision_greenhouse.agronomy.picking import Pick, Span
+    from cucumbervision_greenhouse.forecast.forecast import Forecast
+    from cucumbervision_greenhouse.forecast.growth import Growth
+    from cucumbervision_greenhouse.forecast.picking import Pick, Span
     from cucumbervision_greenhouse.settings import Units
     from cucumbervision_greenhouse.store.records import FruitRow, LogEntry, Round, StopRecord
 
@@ -228,8 +228,8 @@ def pick_words(pick: Pick) -> str:
 
     Examples
     --------
-    >>> from cucumbervision_greenhouse.agronomy.length_draws import FruitState
-    >>> from cucumbervision_greenhouse.agronomy.picking import Pick, PickKind
+    >>> from cucumbervision_greenhouse.forecast.length_draws import FruitState
+    >>> from cucumbervision_greenhouse.forecast.picking import Pick, PickKind
     >>> fruit = FruitState("a", "1", 0.5, 0.25, 0.01)
     >>> pick_words(Pick(fruit, "I", 0.99))
     'class I'
@@ -326,7 +326,7 @@ def grade_words(graded: Grade) -> str:
 
     Examples
     --------
-    >>> from cucumbervision.agronomy.grades import UNDECIDED, Grade, GradeStatus
+    >>> from cucumbervision.crop.grades import UNDECIDED, Grade, GradeStatus
     >>> grade_words(Grade(GradeStatus.UNDECIDED, UNDECIDED, (), {}, possible=("II", "I")))
     'undecided: class II or I'
     """
@@ -339,7 +339,7 @@ def length_words(record: FruitRow, units: Units) -> str:
     Examples
     --------
     >>> from cucumbervision_greenhouse.settings import Units
-    >>> from cucumbervision.measurement.result import Length
+    >>> from cucumbervision.methods.result import Length
     >>> from cucumbervision_greenhouse.store.records import FruitRow
     >>> length_words(FruitRow(1, length=Length(0.241), flags="end-hidden"), Units("cm"))
     'at least 24.1 cm'
@@ -365,7 +365,7 @@ def interval_words(record: FruitRow, units: Units, words: str = "") -> str | Non
     Examples
     --------
     >>> from cucumbervision_greenhouse.settings import Units
-    >>> from cucumbervision.measurement.result import Length
+    >>> from cucumbervision.methods.result import Length
     >>> from cucumbervision_greenhouse.store.records import FruitRow
     >>> record = FruitRow(1, length=Length(0.24, low_m=0.235, high_m=0.247))
     >>> interval_words(record, Units("cm"))
@@ -431,7 +431,7 @@ def remarks(record: FruitRow, units: Units) -> str:
     Examples
     --------
     >>> from cucumbervision_greenhouse.settings import Units
-    >>> from cucumbervision.measurement.result import Length
+    >>> from cucumbervision.methods.result import Length
     >>> from cucumbervision_greenhouse.store.records import FruitRow
     >>> fruit = FruitRow(1, length=Length(0.24), flags="ends-unsure end-hidden")
     >>> remarks(fruit, Units("cm"))
@@ -466,7 +466,7 @@ def span_words(span: Span) -> str:
 
     Examples
     --------
-    >>> from cucumbervision_greenhouse.agronomy.picking import Span
+    >>> from cucumbervision_greenhouse.forecast.picking import Span
     >>> span_words(Span(3.8, 3.0, 5.0)), span_words(Span(0.2, 0.0, 1.0)), span_words(Span(0, 0, 0))
     ('4 (3 to 5)', '0 to 1', '–')
     """
@@ -486,8 +486,8 @@ def growth_words(growth: Growth, units: Units) -> str:
 
     Examples
     --------
-    >>> from cucumbervision.agronomy.profiles import load_profile
-    >>> from cucumbervision_greenhouse.agronomy.growth import GrowthPrior, Link, fit_growth
+    >>> from cucumbervision.crop.profiles import load_profile
+    >>> from cucumbervision_greenhouse.forecast.growth import GrowthPrior, Link, fit_growth
     >>> from cucumbervision_greenhouse.settings import Units
     >>> prior = GrowthPrior.of(load_profile("long-cucumber"))
     >>> growth_words(fit_growth([], prior), Units("cm"))
@@ -541,7 +541,7 @@ def hours_span_words(span: Span) -> str:
 
     Examples
     --------
-    >>> from cucumbervision_greenhouse.agronomy.picking import Span
+    >>> from cucumbervision_greenhouse.forecast.picking import Span
     >>> hours_span_words(Span(0.31, 0.2, 0.5)), hours_span_words(Span(3.24, 2.9, 4.0))
     ('19 min (12 min to 30 min)', '3.2 h (2.9 h to 4.0 h)')
     """

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 import cv2
 
-from cucumbervision.pipeline.batch import end_with_parent
+from cucumbervision.run.batch import end_with_parent
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from cucumbervision.capture.source import example_captures
-from cucumbervision.pipeline.options import MeasureOptions
-from cucumbervision.pipeline.run import measure_inputs
+from cucumbervision.run.options import MeasureOptions
+from cucumbervision.run.run import measure_inputs
 
 
 @pytest.fixture(scope="session")

@@ -16,7 +16,7 @@ from cucumbervision.accuracy.own_truth import (
 )
 from cucumbervision.accuracy.truth import read_truth
 from cucumbervision.errors import TruthError
-from cucumbervision.measurement.result import LengthDefinition
+from cucumbervision.methods.result import LengthDefinition
 
 HEAD = "capture,fruit,length_cm,kind"
 

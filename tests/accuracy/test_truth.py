@@ -6,7 +6,7 @@ import pytest
 
 from cucumbervision.accuracy.truth import floor_of, read_truth
 from cucumbervision.errors import TruthError
-from cucumbervision.measurement.result import LengthDefinition
+from cucumbervision.methods.result import LengthDefinition
 
 HEAD = "capture,fruit,length_cm,kind"
 

@@ -16,7 +16,7 @@ from cucumbervision.calibration.calibration_file import (
 )
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.errors import CalibrationError, NameRefusedError
-from cucumbervision.geometry.camera import Distortion
+from cucumbervision.tube.camera import Distortion
 
 CAMERA = Intrinsics(848, 480, 616.4, 616.4, 424.0, 240.0)
 SITE = SiteCalibration(

@@ -20,9 +20,9 @@ from cucumbervision.calibration.calibration_file import (
 )
 from cucumbervision.capture.frames import Capture
 from cucumbervision.errors import CalibrationError
-from cucumbervision.instances.instance import Instance, MaskSource
-from cucumbervision.measurement.flags import Flag
-from cucumbervision.measurement.result import (
+from cucumbervision.fruit.instance import Instance, MaskSource
+from cucumbervision.methods.flags import Flag
+from cucumbervision.methods.result import (
     Choice,
     Fruit,
     IntervalBasis,

@@ -21,11 +21,11 @@ from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers.native import write_native
 from cucumbervision.errors import CalibrationError
-from cucumbervision.measurement.result import LengthDefinition, MethodName
-from cucumbervision.pipeline.options import MeasureOptions
-from cucumbervision.pipeline.run import measure_inputs
-from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
-from cucumbervision_lab.synthesis.scene import Scene, render
+from cucumbervision.methods.result import LengthDefinition, MethodName
+from cucumbervision.run.options import MeasureOptions
+from cucumbervision.run.run import measure_inputs
+from cucumbervision_lab.scenes.bodies import arc_tube, rotation
+from cucumbervision_lab.scenes.scene import Scene, render
 
 CAMERA = Intrinsics(640, 360, 460.0, 460.0, 320.0, 180.0)
 M3 = MeasureOptions(methods=(MethodName.M3,))

@@ -14,7 +14,7 @@ from cucumbervision.capture.camera_file import read_camera_file
 from cucumbervision.capture.intrinsics import Intrinsics, Stream
 from cucumbervision.capture.readers.common import choose_intrinsics
 from cucumbervision.errors import CaptureError, CucumberVisionError, IntrinsicsError
-from cucumbervision.geometry.camera import Distortion
+from cucumbervision.tube.camera import Distortion
 
 OURS = {
     "stream": "color",

@@ -13,7 +13,7 @@ from cucumbervision.capture.camera_file import read_camera_file
 from cucumbervision.capture.intrinsics import Stream
 from cucumbervision.capture.readers.common import choose_intrinsics
 from cucumbervision.errors import DepthError, IntrinsicsError
-from cucumbervision.geometry.camera import Distortion
+from cucumbervision.tube.camera import Distortion
 
 ROWS = [60.5, 0.0, 31.5, 0.0, 60.25, 24.5, 0.0, 0.0, 1.0]
 COLUMNS = [60.5, 0.0, 0.0, 0.0, 60.25, 0.0, 31.5, 24.5, 1.0]

@@ -15,8 +15,8 @@ from cucumbervision.capture.depth_direction import depth_along_axis, is_along_ra
 from cucumbervision.capture.frames import Doubt
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers import ReadOptions, open_source
-from cucumbervision.measurement.flags import Flag, is_lower_bound
-from cucumbervision.pipeline.results import measure
+from cucumbervision.methods.flags import Flag, is_lower_bound
+from cucumbervision.run.results import measure
 
 WIDE = Intrinsics(320, 240, 225.0, 225.0, 159.5, 119.5)
 REAL = Path(os.environ.get("CUCUMBERVISION_DATA", "/nowhere")) / "rgbd" / "cucumber_d435"

@@ -13,12 +13,12 @@ from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.readers.native import write_native
 from cucumbervision.capture.recorder import depth_quality
-from cucumbervision.instances.instance import Instance
-from cucumbervision.instances.masks import box_of_mask
-from cucumbervision.measurement.selector import measure_fruit
-from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
-from cucumbervision_lab.synthesis.depth_camera import D4xx, sense
-from cucumbervision_lab.synthesis.scene import Kind, Scene, render
+from cucumbervision.fruit.instance import Instance
+from cucumbervision.fruit.masks import box_of_mask
+from cucumbervision.methods.selector import measure_fruit
+from cucumbervision_lab.scenes.bodies import arc_tube, rotation
+from cucumbervision_lab.scenes.depth_camera import D4xx, sense
+from cucumbervision_lab.scenes.scene import Kind, Scene, render
 
 CAMERA = Intrinsics(848, 480, 616.0, 616.0, 423.5, 239.5)
 LENGTHS_M = (0.24, 0.18)

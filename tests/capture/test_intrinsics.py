@@ -10,7 +10,7 @@ from cucumbervision.capture.intrinsics import (
     is_off_centre,
 )
 from cucumbervision.errors import IntrinsicsError
-from cucumbervision.geometry.camera import Distortion
+from cucumbervision.tube.camera import Distortion
 
 COLOR = Intrinsics(1280, 720, 910.5, 909.8, 645.2, 366.1)
 DEPTH = Intrinsics(1280, 720, 640.0, 640.0, 641.3, 358.7, stream=Stream.DEPTH)

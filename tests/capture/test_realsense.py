@@ -25,7 +25,7 @@ from cucumbervision.errors import (
     IntrinsicsError,
     MissingExtraError,
 )
-from cucumbervision.geometry.camera import Distortion, align_depth_to_color
+from cucumbervision.tube.camera import Distortion, align_depth_to_color
 
 pytest.importorskip("pyrealsense2", exc_type=ImportError)
 

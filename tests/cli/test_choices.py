@@ -9,10 +9,10 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from cucumbervision.agronomy.profiles import load_profile
+from cucumbervision.crop.profiles import load_profile
 from cucumbervision.cli.choices import loop_options, measure_options, takes
-from cucumbervision.measurement.result import LengthDefinition, MethodName, Selector
-from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision.methods.result import LengthDefinition, MethodName, Selector
+from cucumbervision.run.options import MeasureOptions
 
 
 class Asked:

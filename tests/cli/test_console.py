@@ -23,8 +23,8 @@ from cucumbervision.cli.console import (
     stopping_gently,
     summary_table,
 )
-from cucumbervision.pipeline.detect import DetectedPicture, DetectResult
-from cucumbervision.pipeline.measurer import Failure
+from cucumbervision.run.detect import DetectedPicture, DetectResult
+from cucumbervision.run.measurer import Failure
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 

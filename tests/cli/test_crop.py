@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from cucumbervision.capture.source import example_captures
 from cucumbervision.cli.app import app
 from cucumbervision.errors import ProfileError
-from cucumbervision.perception import registry
+from cucumbervision.networks import registry
 
 
 def test_a_pack_is_made_checked_and_measured_with(tmp_path: Path) -> None:

@@ -16,9 +16,9 @@ from cucumbervision.capture.recorder import DepthQuality, Recorded
 from cucumbervision.capture.source import example_captures
 from cucumbervision.cli.live import clock, enter_keys, print_recording, print_stream
 from cucumbervision.errors import CameraError
-from cucumbervision.pipeline.measurer import Failure, Measurer
-from cucumbervision.pipeline.options import MeasureOptions
-from cucumbervision.streaming.stream import FruitStream, StreamedFrame
+from cucumbervision.run.measurer import Failure, Measurer
+from cucumbervision.run.options import MeasureOptions
+from cucumbervision.stream.stream import FruitStream, StreamedFrame
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 UNREAD = Failure("a", "[b]", "CaptureError", "[b]: is damaged; copy it again")

@@ -8,7 +8,7 @@ from typer.testing import CliRunner, Result
 
 from cucumbervision.cli.app import app
 from cucumbervision.errors import UnknownModelError
-from cucumbervision.perception.registry import file_sha256, load_registry
+from cucumbervision.networks.registry import file_sha256, load_registry
 
 
 @pytest.fixture

@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 
 from cucumbervision.capture.source import example_captures
-from cucumbervision.measurement.result import MethodName
-from cucumbervision.pipeline.options import MeasureOptions
-from cucumbervision.pipeline.run import measure_inputs
+from cucumbervision.methods.result import MethodName
+from cucumbervision.run.options import MeasureOptions
+from cucumbervision.run.run import measure_inputs
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 

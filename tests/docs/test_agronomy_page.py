@@ -4,7 +4,7 @@ import doctest
 from collections.abc import Callable
 from pathlib import Path
 
-from cucumbervision.agronomy.profiles import CropProfile
+from cucumbervision.crop.profiles import CropProfile
 
 PAGE = Path(__file__).parents[2] / "docs" / "agronomy.md"
 

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from cucumbervision.measurement.flags import FLAGS, Flag
-from cucumbervision.measurement.result import Choice, LengthKind, MethodName, Reason
-from cucumbervision.pipeline.fields import FIELDS
+from cucumbervision.methods.flags import FLAGS, Flag
+from cucumbervision.methods.result import Choice, LengthKind, MethodName, Reason
+from cucumbervision.run.fields import FIELDS
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "measurements.md").read_text(encoding="utf-8")

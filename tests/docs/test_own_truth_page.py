@@ -6,7 +6,7 @@ import doctest
 from collections.abc import Callable
 from pathlib import Path
 
-from cucumbervision.measurement.flags import Flag
+from cucumbervision.methods.flags import Flag
 
 PAGE = Path(__file__).parents[2] / "docs" / "own-truth.md"
 

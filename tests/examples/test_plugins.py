@@ -31,9 +31,9 @@ from cucumbervision import (
 from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.pictures import write_png
 from cucumbervision.errors import PluginError
-from cucumbervision.instances.masks import box_ious
-from cucumbervision.measurement.flags import Flag
-from cucumbervision.pipeline.fields import FIELDS
+from cucumbervision.fruit.masks import box_ious
+from cucumbervision.methods.flags import Flag
+from cucumbervision.run.fields import FIELDS
 
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "examples" / "plugins.py"

@@ -23,9 +23,9 @@ from scipy.spatial.transform import Rotation
 
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
-from cucumbervision.instances.instance import Instance
-from cucumbervision.pipeline.measurer import Measurer
-from cucumbervision.pipeline.plugged import PlugIns
+from cucumbervision.fruit.instance import Instance
+from cucumbervision.run.measurer import Measurer
+from cucumbervision.run.plugged import PlugIns
 from cucumbervision.service.app import ServiceSettings, Work
 
 

@@ -19,9 +19,9 @@ import pytest
 
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.source import example_captures
-from cucumbervision.pipeline.batch import in_turn
-from cucumbervision.pipeline.measurer import Measurer
-from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision.run.batch import in_turn
+from cucumbervision.run.measurer import Measurer
+from cucumbervision.run.options import MeasureOptions
 from cucumbervision_greenhouse.rounds.adding import Added, RoundCapture, add_all, add_captures
 from cucumbervision_greenhouse.store.records import Round, StopRecord, key_of, new_key
 from cucumbervision_greenhouse.store.repository import Store, open_store

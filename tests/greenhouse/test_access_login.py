@@ -14,8 +14,8 @@ pytest.importorskip("playwright")
 from tests.greenhouse.conftest import WALK
 
 from cucumbervision.capture.source import example_captures
-from cucumbervision.measurement.result import MethodName
-from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision.methods.result import MethodName
+from cucumbervision.run.options import MeasureOptions
 from cucumbervision_greenhouse.rounds.adding import add_captures
 from cucumbervision_greenhouse.store.repository import open_store
 

@@ -10,13 +10,13 @@ import pytest
 
 pytest.importorskip("babel")
 
-from cucumbervision.agronomy.grades import GradingTraits, grade
-from cucumbervision.agronomy.profiles import load_profile, profiles
+from cucumbervision.crop.grades import GradingTraits, grade
+from cucumbervision.crop.profiles import load_profile, profiles
 from cucumbervision.errors import CucumberVisionError, Message
 from cucumbervision.intake.uploads import accept_uploads
-from cucumbervision.measurement.flags import FLAGS, Flag, data_doubts
-from cucumbervision.measurement.result import Length
-from cucumbervision.pipeline.summary import Summary
+from cucumbervision.methods.flags import FLAGS, Flag, data_doubts
+from cucumbervision.methods.result import Length
+from cucumbervision.run.summary import Summary
 from cucumbervision_greenhouse import language
 from cucumbervision_greenhouse.core_words import ON_PAGES, words_of
 from cucumbervision_greenhouse.uploads import UploadOutcome

@@ -11,7 +11,7 @@ from demo_captures import SCENES, place
 from tests.calibration.test_calibration_file_calibrated import entry, site
 from tests.greenhouse.conftest import add_one
 
-from cucumbervision.agronomy.profiles import load_profile
+from cucumbervision.crop.profiles import load_profile
 from cucumbervision.calibration.calibration_file import write_site_calibration
 from cucumbervision.capture.frames import Stop
 from cucumbervision.capture.readers import open_source
@@ -23,12 +23,12 @@ from cucumbervision.errors import (
     InstancesError,
     StoreAwayError,
 )
-from cucumbervision.instances.instance import Instance, MaskSource
-from cucumbervision.instances.mask_codes import decode_rle
-from cucumbervision.instances.masks import box_of_mask
-from cucumbervision.measurement.flags import Flag
-from cucumbervision.perception.registry import load_registry
-from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision.fruit.instance import Instance, MaskSource
+from cucumbervision.fruit.mask_codes import decode_rle
+from cucumbervision.fruit.masks import box_of_mask
+from cucumbervision.methods.flags import Flag
+from cucumbervision.networks.registry import load_registry
+from cucumbervision.run.options import MeasureOptions
 from cucumbervision_greenhouse.jobs import Job
 from cucumbervision_greenhouse.measuring import (
     SharedMeasurer,

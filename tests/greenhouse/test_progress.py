@@ -6,8 +6,8 @@ from pathlib import Path
 from cucumbervision.capture.frames import Stop
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
-from cucumbervision.perception.registry import load_registry
-from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision.networks.registry import load_registry
+from cucumbervision.run.options import MeasureOptions
 from cucumbervision_greenhouse.jobs import Job
 from cucumbervision_greenhouse.measuring import SharedMeasurer, measure_waiting
 from cucumbervision_greenhouse.progress import Progress, progress_of

@@ -16,10 +16,10 @@ pytest.importorskip("streamlit")
 from streamlit.testing.v1 import AppTest
 from tests.greenhouse.pages.app_pages import tables
 
-from cucumbervision.agronomy.grades import class_name
-from cucumbervision.agronomy.profiles import load_profile
-from cucumbervision.measurement.result import Length
-from cucumbervision_greenhouse.agronomy.picking import (
+from cucumbervision.crop.grades import class_name
+from cucumbervision.crop.profiles import load_profile
+from cucumbervision.methods.result import Length
+from cucumbervision_greenhouse.forecast.picking import (
     PickKind,
     hours_words,
     pick_list,

@@ -23,9 +23,9 @@ from streamlit.testing.v1 import AppTest
 from tests.greenhouse.pages.app_pages import tables
 from typer.testing import CliRunner
 
-from cucumbervision.agronomy.profiles import load_profile
+from cucumbervision.crop.profiles import load_profile
 from cucumbervision.cli.app import app as command
-from cucumbervision.measurement.result import Length, LengthDefinition
+from cucumbervision.methods.result import Length, LengthDefinition
 from cucumbervision_greenhouse.exports import ExportFormat
 from cucumbervision_greenhouse.exports.build import RoundTables, round_tables
 from cucumbervision_greenhouse.exports.writers import write_exports

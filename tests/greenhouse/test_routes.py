@@ -15,7 +15,7 @@ pytest.importorskip("httpx2")
 from starlette.testclient import TestClient
 from tests.greenhouse.camera.test_page import WALK, wait_for_jobs
 
-from cucumbervision.measurement.result import Length
+from cucumbervision.methods.result import Length
 from cucumbervision_greenhouse import language, resources
 from cucumbervision_greenhouse.store.records import FruitRow, key_of
 from cucumbervision_greenhouse.store.repository import Store

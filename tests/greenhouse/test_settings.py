@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision.run.options import MeasureOptions
 from cucumbervision_greenhouse.settings import Settings, read_settings, write_settings
 
 

@@ -20,8 +20,8 @@ from cucumbervision.errors import (
     StoreAwayError,
     UploadError,
 )
-from cucumbervision.perception.registry import load_registry
-from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision.networks.registry import load_registry
+from cucumbervision.run.options import MeasureOptions
 from cucumbervision_greenhouse.jobs import Job
 from cucumbervision_greenhouse.measuring import SharedMeasurer, measure_waiting
 from cucumbervision_greenhouse.rounds.demonstration import DEMONSTRATION

@@ -9,7 +9,7 @@ import pytest
 
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.pictures import write_png
-from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
+from cucumbervision_lab.data.labels import DataSet, Label, LabelledPicture
 
 WIDTH, HEIGHT = 160, 120
 CAMERA = Intrinsics(WIDTH, HEIGHT, 114.0, 114.0, 79.5, 59.5)

@@ -18,9 +18,9 @@ from hypothesis import strategies as st
 from tests.capsules import capsule_capture, lying
 from tests.robustness.damage import damaged
 
-from cucumbervision import agronomy, measure_fruit
+from cucumbervision import crop, measure_fruit
 from cucumbervision.accuracy.truth import floor_of, read_truth
-from cucumbervision.agronomy.profiles import load_profile
+from cucumbervision.crop.profiles import load_profile
 from cucumbervision.capture.camera_file import read_camera_file
 from cucumbervision.capture.frames import Capture, Stop
 from cucumbervision.capture.intrinsics import Distortion, Intrinsics
@@ -28,9 +28,9 @@ from cucumbervision.capture.readers import ReadOptions, open_source
 from cucumbervision.capture.readers.common import choose_intrinsics
 from cucumbervision.capture.readers.native import write_native
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision.instances.instance import Instance, MaskSource
-from cucumbervision.instances.instance_files import read_instances
-from cucumbervision.instances.mask_codes import encode_rle
+from cucumbervision.fruit.instance import Instance, MaskSource
+from cucumbervision.fruit.instance_files import read_instances
+from cucumbervision.fruit.mask_codes import encode_rle
 
 WIDTH, HEIGHT = 64, 48
 LENS: dict[str, Any] = {"width": WIDTH, "height": HEIGHT, "fx": 60, "fy": 60, "cx": 31, "cy": 23}

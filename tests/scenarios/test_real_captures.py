@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cucumbervision.measurement.result import MethodName
-from cucumbervision.pipeline.options import MeasureOptions
-from cucumbervision.pipeline.run import measure_inputs
+from cucumbervision.methods.result import MethodName
+from cucumbervision.run.options import MeasureOptions
+from cucumbervision.run.run import measure_inputs
 
 pytestmark = pytest.mark.realdata
 

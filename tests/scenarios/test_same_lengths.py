@@ -11,10 +11,10 @@ from tests.greenhouse.conftest import add_one
 
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
-from cucumbervision.measurement.selector import measure_fruit
-from cucumbervision.pipeline.finders import make_finder
-from cucumbervision.pipeline.options import MeasureOptions
-from cucumbervision.pipeline.run import measure_inputs
+from cucumbervision.methods.selector import measure_fruit
+from cucumbervision.run.finders import make_finder
+from cucumbervision.run.options import MeasureOptions
+from cucumbervision.run.run import measure_inputs
 from cucumbervision_greenhouse.rounds.adding import add_captures
 from cucumbervision_greenhouse.settings import Settings
 from cucumbervision_greenhouse.store.records import FruitRow, Round

@@ -12,9 +12,9 @@ from tests.scenarios.sensor_statistics import (
 
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers import open_source
-from cucumbervision_lab.synthesis.depth_camera import D4xx, sense
-from cucumbervision_lab.synthesis.raycast import Plane
-from cucumbervision_lab.synthesis.scene import Scene
+from cucumbervision_lab.scenes.depth_camera import D4xx, sense
+from cucumbervision_lab.scenes.raycast import Plane
+from cucumbervision_lab.scenes.scene import Scene
 
 
 def test_white_noise_on_a_slant_is_found_again() -> None:

@@ -7,8 +7,8 @@ import pytest
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
-from cucumbervision.pipeline.measurer import Measurer
-from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision.run.measurer import Measurer
+from cucumbervision.run.options import MeasureOptions
 
 
 @pytest.fixture(scope="module")

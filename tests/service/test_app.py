@@ -19,9 +19,9 @@ import anyio
 from starlette.testclient import TestClient
 
 from cucumbervision.capture.frames import Capture
-from cucumbervision.pipeline.fields import FIELDS
-from cucumbervision.pipeline.measurer import Measurer
-from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision.run.fields import FIELDS
+from cucumbervision.run.measurer import Measurer
+from cucumbervision.run.options import MeasureOptions
 from cucumbervision.service.app import (
     MeasureReply,
     ServiceSettings,

@@ -13,8 +13,8 @@ import schemathesis
 from hypothesis import HealthCheck, settings
 from schemathesis.specs.openapi.checks import negative_data_rejection
 
-from cucumbervision.pipeline.measurer import Measurer
-from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision.run.measurer import Measurer
+from cucumbervision.run.options import MeasureOptions
 from cucumbervision.service.app import ServiceSettings, create_app, request_limits
 
 TOKEN = "0123456789abcdef"

@@ -10,7 +10,7 @@ import pytest
 
 from cucumbervision.capture.frames import Capture
 from cucumbervision.errors import UploadError
-from cucumbervision.pipeline.measurer import Measurer
+from cucumbervision.run.measurer import Measurer
 from cucumbervision.service.app import BusyError, LeftError, ServiceSettings, Work
 from cucumbervision.service.client import packed
 

@@ -21,8 +21,8 @@ from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
 from cucumbervision.cli.app import app
 from cucumbervision.errors import AccessError, CaptureError
-from cucumbervision.pipeline.measurer import Measurer
-from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision.run.measurer import Measurer
+from cucumbervision.run.options import MeasureOptions
 from cucumbervision.service.client import Client, ServiceError
 
 TOKEN = "a-token-of-the-tests"

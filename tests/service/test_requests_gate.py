@@ -17,9 +17,9 @@ pytest.importorskip("fastapi")
 import uvicorn
 from starlette.testclient import TestClient
 
-from cucumbervision.pipeline.finders import Finder
-from cucumbervision.pipeline.measurer import Measurer
-from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision.run.finders import Finder
+from cucumbervision.run.measurer import Measurer
+from cucumbervision.run.options import MeasureOptions
 from cucumbervision.service.app import ServiceSettings, Work, create_app
 from cucumbervision.service.requests import HeadLimit, _OnceAMinute
 

@@ -29,8 +29,8 @@ from cucumbervision.errors import (
     wrap_reader_errors,
 )
 from cucumbervision.files import read_json, write_csv
-from cucumbervision.measurement.flags import LOWER_BOUND, NO_DEPTH
-from cucumbervision.measurement.result import LengthDefinition, MethodName, calibration_key
+from cucumbervision.methods.flags import LOWER_BOUND, NO_DEPTH
+from cucumbervision.methods.result import LengthDefinition, MethodName, calibration_key
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -14,7 +14,7 @@ import numpy as np
 
 from cucumbervision.errors import CucumberVisionError, TruthError, wrap_reader_errors
 from cucumbervision.files import read_text
-from cucumbervision.measurement.result import LengthDefinition
+from cucumbervision.methods.result import LengthDefinition
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -16,8 +16,8 @@ from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Distortion
 from cucumbervision.errors import CalibrationError, wrap_os_errors
 from cucumbervision.files import parse_model, read_json, replacing
-from cucumbervision.measurement.flags import DOUBTFUL_END, LOWER_BOUND, NO_DEPTH, Flag
-from cucumbervision.measurement.result import (
+from cucumbervision.methods.flags import DOUBTFUL_END, LOWER_BOUND, NO_DEPTH, Flag
+from cucumbervision.methods.result import (
     Fruit,
     IntervalBasis,
     Length,

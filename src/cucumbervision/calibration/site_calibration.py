@@ -27,7 +27,7 @@ from cucumbervision.calibration.grid import LEAST_CROSSINGS, fit_grid
 from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.errors import CalibrationError, wrap_reader_errors
 from cucumbervision.files import parse_model
-from cucumbervision.measurement.result import LengthDefinition
+from cucumbervision.methods.result import LengthDefinition
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Iterable, Mapping, Sequence

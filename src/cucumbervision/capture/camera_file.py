@@ -16,7 +16,7 @@ from cucumbervision.capture.intrinsics import Intrinsics, Stream, pinhole_of_mat
 from cucumbervision.capture.pictures import read_array
 from cucumbervision.errors import CaptureError, IntrinsicsError, as_errors_of, wrap_reader_errors
 from cucumbervision.files import parse_model, read_json, read_text
-from cucumbervision.geometry.camera import Distortion
+from cucumbervision.tube.camera import Distortion
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -14,8 +14,8 @@ import numpy as np
 
 from cucumbervision.capture.conventions import Stream as Stream
 from cucumbervision.errors import IntrinsicsError
-from cucumbervision.geometry.camera import Distortion as Distortion
-from cucumbervision.geometry.camera import distort, scale_error, undistort
+from cucumbervision.tube.camera import Distortion as Distortion
+from cucumbervision.tube.camera import distort, scale_error, undistort
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray

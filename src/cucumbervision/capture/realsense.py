@@ -20,7 +20,7 @@ from cucumbervision.capture.realsense_device import (
     import_realsense,
 )
 from cucumbervision.errors import CameraError, CaptureError
-from cucumbervision.geometry.camera import Distortion
+from cucumbervision.tube.camera import Distortion
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

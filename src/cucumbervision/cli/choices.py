@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, get_type_h
 import typer
 
 from cucumbervision.capture.conventions import DepthAlong, Stream
-from cucumbervision.measurement.result import LengthDefinition, Selector
-from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
+from cucumbervision.methods.result import LengthDefinition, Selector
+from cucumbervision.networks.confidence import DEFAULT_CONFIDENCE
 
 if TYPE_CHECKING:
-    from cucumbervision.pipeline.batch import LoopOptions
-    from cucumbervision.pipeline.options import MeasureOptions
+    from cucumbervision.run.batch import LoopOptions
+    from cucumbervision.run.options import MeasureOptions
 
 Command: TypeAlias = Callable[..., None]
 
@@ -141,10 +141,10 @@ def measure_options(
     ] = None,
 ) -> MeasureOptions:
     """Return the measuring options of a command."""
-    from cucumbervision.agronomy.profiles import PACK_PROFILE, load_profile, profile_path
+    from cucumbervision.crop.profiles import PACK_PROFILE, load_profile, profile_path
     from cucumbervision.capture.source import ReadOptions
-    from cucumbervision.perception.confidence import parse_input_sizes
-    from cucumbervision.pipeline.options import MeasureOptions
+    from cucumbervision.networks.confidence import parse_input_sizes
+    from cucumbervision.run.options import MeasureOptions
 
     options = MeasureOptions(
         instances=instances,
@@ -165,7 +165,7 @@ def measure_options(
     path = profile_path(profile)
     if path.name != PACK_PROFILE:
         return options.for_crop(load_profile(path))
-    from cucumbervision.pipeline.options import read_pack
+    from cucumbervision.run.options import read_pack
 
     return read_pack(path.parent).options(options)
 
@@ -184,7 +184,7 @@ def loop_options(
     ] = "",
 ) -> LoopOptions:
     """Return the loop options of a command."""
-    from cucumbervision.pipeline.batch import LoopOptions, choose_engine
+    from cucumbervision.run.batch import LoopOptions, choose_engine
 
     return LoopOptions(engine=choose_engine(workers, ray))
 

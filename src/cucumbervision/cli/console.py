@@ -23,25 +23,25 @@ from rich.progress import (
 )
 from rich.table import Table
 
-from cucumbervision.agronomy.grades import GradingTraits, grade
-from cucumbervision.agronomy.profiles import load_profile
-from cucumbervision.instances.instance import MaskSource
-from cucumbervision.measurement.flags import flag_remarks, is_lower_bound
-from cucumbervision.measurement.result import LengthDefinition
-from cucumbervision.pipeline.detect import detect_inputs
-from cucumbervision.pipeline.inputs import count_captures
-from cucumbervision.pipeline.run import measure_inputs
+from cucumbervision.crop.grades import GradingTraits, grade
+from cucumbervision.crop.profiles import load_profile
+from cucumbervision.fruit.instance import MaskSource
+from cucumbervision.methods.flags import flag_remarks, is_lower_bound
+from cucumbervision.methods.result import LengthDefinition
+from cucumbervision.run.detect import detect_inputs
+from cucumbervision.run.inputs import count_captures
+from cucumbervision.run.run import measure_inputs
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from cucumbervision.accuracy import table
-    from cucumbervision.agronomy.profiles import CropProfile
-    from cucumbervision.pipeline.detect import DetectResult
-    from cucumbervision.pipeline.measurer import Failure
-    from cucumbervision.pipeline.options import MeasureOptions
-    from cucumbervision.pipeline.run import BatchOptions, RunResult
+    from cucumbervision.crop.profiles import CropProfile
+    from cucumbervision.run.detect import DetectResult
+    from cucumbervision.run.measurer import Failure
+    from cucumbervision.run.options import MeasureOptions
+    from cucumbervision.run.run import BatchOptions, RunResult
 
 _MOST_ROWS = 40
 _WIDTH = 120

@@ -22,7 +22,7 @@ def new(
     like: Annotated[str, typer.Option(help="Profile to begin with.")] = "long-cucumber",
 ) -> None:
     """Make a folder with a profile to edit."""
-    from cucumbervision.agronomy.profiles import PACK_PROFILE, profile_path
+    from cucumbervision.crop.profiles import PACK_PROFILE, profile_path
     from cucumbervision.errors import ProfileError
     from cucumbervision.files import write_bytes
 
@@ -38,8 +38,8 @@ def new(
 def check(folder: Pack) -> None:
     """Read everything in the folder and say what it holds."""
     from cucumbervision.accuracy.truth import read_truth
-    from cucumbervision.perception.yolo import YoloDetector
-    from cucumbervision.pipeline.options import read_pack
+    from cucumbervision.networks.yolo import YoloDetector
+    from cucumbervision.run.options import read_pack
 
     pack = read_pack(folder)
     limits = pack.profile.acceptance

@@ -30,9 +30,9 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.recorder import Recorded
     from cucumbervision.errors import CucumberVisionError
-    from cucumbervision.pipeline.measurer import Failure
-    from cucumbervision.pipeline.options import MeasureOptions
-    from cucumbervision.streaming.stream import StreamedFrame
+    from cucumbervision.run.measurer import Failure
+    from cucumbervision.run.options import MeasureOptions
+    from cucumbervision.stream.stream import StreamedFrame
 
 
 def print_stream(
@@ -47,7 +47,7 @@ def print_stream(
     `most_frames` frames, on Ctrl-C, and when its output is closed.
     """
     from cucumbervision.cli.console import plain_console
-    from cucumbervision.pipeline.measurer import Failure, exit_code
+    from cucumbervision.run.measurer import Failure, exit_code
 
     errors = plain_console(stderr=True)
     failures: list[Failure] = []
@@ -108,7 +108,7 @@ def print_recording(
 ) -> int:
     """Print a line for each written capture, and return the exit code."""
     from cucumbervision.cli.console import plain_console
-    from cucumbervision.pipeline.measurer import Failure, exit_code
+    from cucumbervision.run.measurer import Failure, exit_code
 
     errors, lines = plain_console(stderr=True), plain_console(quiet=quiet)
     failures: list[Failure] = []
@@ -186,9 +186,9 @@ def stream(
     and its fruit with permanent numbers and lengths from all frames.
     """
     from cucumbervision.capture.realsense import CameraConfig
-    from cucumbervision.pipeline.measurer import Measurer
-    from cucumbervision.streaming.sources import open_stream
-    from cucumbervision.streaming.stream import FruitStream
+    from cucumbervision.run.measurer import Measurer
+    from cucumbervision.stream.sources import open_stream
+    from cucumbervision.stream.stream import FruitStream
 
     fruit = FruitStream.fast(options) if fast else FruitStream(Measurer(options))
     config = CameraConfig(serial=serial, fps=fps)
@@ -326,7 +326,7 @@ def schema(
 ) -> None:
     """Print the JSON Schema of a stream's line or a reply of the service."""
     from cucumbervision.service.app import DetectReply, MeasureReply
-    from cucumbervision.streaming.stream import line_model
+    from cucumbervision.stream.stream import line_model
 
     models: dict[Kind, type[BaseModel]]
     models = {Kind.STREAM: line_model(), Kind.MEASURE: MeasureReply, Kind.DETECT: DetectReply}

@@ -11,8 +11,8 @@ from cucumbervision.cli.choices import OF_CAMERA_FILE, Quiet, loop_options, meas
 from cucumbervision.files import as_path
 
 if TYPE_CHECKING:
-    from cucumbervision.pipeline.batch import LoopOptions
-    from cucumbervision.pipeline.options import MeasureOptions
+    from cucumbervision.run.batch import LoopOptions
+    from cucumbervision.run.options import MeasureOptions
 
 
 Inputs = Annotated[
@@ -61,7 +61,7 @@ def measure(
     networks are measured.
     """
     from cucumbervision.cli.console import measure_and_show
-    from cucumbervision.pipeline.run import BatchOptions
+    from cucumbervision.run.run import BatchOptions
 
     batch = BatchOptions(**vars(loop), parquet=parquet, overlays=overlays)
     code = measure_and_show(
@@ -79,8 +79,8 @@ def demo(
     """Measure the bundled simulated captures, found by the package's own networks."""
     from cucumbervision.capture.source import example_captures
     from cucumbervision.cli.console import measure_and_show
-    from cucumbervision.pipeline.options import MeasureOptions
-    from cucumbervision.pipeline.run import BatchOptions
+    from cucumbervision.run.options import MeasureOptions
+    from cucumbervision.run.run import BatchOptions
 
     options, batch = MeasureOptions(instances="models"), BatchOptions()
     raise typer.Exit(measure_and_show([example_captures()], out, options, batch, quiet=quiet))

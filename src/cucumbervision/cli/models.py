@@ -22,7 +22,7 @@ def list_models() -> None:
 
     from cucumbervision.cli.console import plain_console
     from cucumbervision.errors import ModelError
-    from cucumbervision.perception.registry import load_registry
+    from cucumbervision.networks.registry import load_registry
 
     registry = load_registry()
     faults: list[ModelError] = []
@@ -65,7 +65,7 @@ def use(
     """
     from cucumbervision.cli.console import plain_console
     from cucumbervision.errors import ModelError
-    from cucumbervision.perception.registry import use_network, use_shipped
+    from cucumbervision.networks.registry import use_network, use_shipped
 
     if (path is None) != shipped:
         raise ModelError("name one network", remedy="give RUN_OR_ONNX or --shipped")
@@ -85,7 +85,7 @@ def export(
 ) -> None:
     """Copy a network's verified ONNX files."""
     from cucumbervision.cli.console import plain_console
-    from cucumbervision.perception.registry import load_registry
+    from cucumbervision.networks.registry import load_registry
 
     for path in load_registry().export(name, out):
         plain_console().print(str(path), soft_wrap=True)

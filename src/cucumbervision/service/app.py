@@ -43,12 +43,12 @@ from cucumbervision.errors import (
     named_error,
 )
 from cucumbervision.intake.uploads import Limits, accept_uploads, clean_name
-from cucumbervision.measurement.pose import FruitPose
-from cucumbervision.pipeline.batch import ResultWorker, measure_all, never
-from cucumbervision.pipeline.detect import PictureWorker, read_picture
-from cucumbervision.pipeline.fields import FIELDS, row_model
-from cucumbervision.pipeline.inputs import Listed, list_source
-from cucumbervision.pipeline.measurer import Failure, Measurer
+from cucumbervision.methods.pose import FruitPose
+from cucumbervision.run.batch import ResultWorker, measure_all, never
+from cucumbervision.run.detect import PictureWorker, read_picture
+from cucumbervision.run.fields import FIELDS, row_model
+from cucumbervision.run.inputs import Listed, list_source
+from cucumbervision.run.measurer import Failure, Measurer
 from cucumbervision.service.requests import RequestError, bounded, check_source
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from cucumbervision.errors import MissingExtraError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from cucumbervision.pipeline.options import MeasureOptions
+    from cucumbervision.run.options import MeasureOptions
 
 
 def serve(
@@ -52,7 +52,7 @@ def serve(
             raise MissingExtraError(package.replace("_", "-"), "serve")
     token = os.environ.get(TOKEN_VARIABLE, "")
     check_access(address, token)
-    from cucumbervision.pipeline.measurer import Measurer
+    from cucumbervision.run.measurer import Measurer
     from cucumbervision.service.app import ServiceSettings, create_app, request_limits
     from cucumbervision.service.requests import listen
 

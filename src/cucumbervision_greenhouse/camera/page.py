@@ -19,7 +19,7 @@ from starlette.routing import Route
 from cucumbervision.capture.frames import Stop
 from cucumbervision.errors import NameRefusedError
 from cucumbervision.names import LONGEST_NAME
-from cucumbervision.pipeline.overlay import as_jpeg
+from cucumbervision.run.overlay import as_jpeg
 from cucumbervision_greenhouse import resources, round_caches, tasks
 from cucumbervision_greenhouse.answers import Key, Sent, answer, store_of
 from cucumbervision_greenhouse.camera import cameras, state

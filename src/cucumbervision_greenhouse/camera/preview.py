@@ -8,7 +8,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision.pipeline.overlay import as_jpeg
+from cucumbervision.run.overlay import as_jpeg
 from cucumbervision_greenhouse import resources
 from cucumbervision_greenhouse.camera import cameras
 from cucumbervision_greenhouse.core_words import words_of

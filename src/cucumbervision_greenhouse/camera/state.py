@@ -7,7 +7,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
-from cucumbervision.agronomy.grades import grade
+from cucumbervision.crop.grades import grade
 from cucumbervision.errors import CucumberVisionError, Message, StoreError
 from cucumbervision_greenhouse import resources, round_caches, tasks
 from cucumbervision_greenhouse.camera import cameras

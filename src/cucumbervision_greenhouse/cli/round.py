@@ -26,9 +26,9 @@ from cucumbervision_greenhouse.exports import ExportFormat
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from cucumbervision.agronomy.profiles import CropProfile
-    from cucumbervision.pipeline.batch import LoopOptions
-    from cucumbervision.pipeline.options import MeasureOptions
+    from cucumbervision.crop.profiles import CropProfile
+    from cucumbervision.run.batch import LoopOptions
+    from cucumbervision.run.options import MeasureOptions
     from cucumbervision_greenhouse.rounds.adding import Added
     from cucumbervision_greenhouse.store.records import FruitRow, Round
     from cucumbervision_greenhouse.store.repository import Store
@@ -53,7 +53,7 @@ def opened_round(where: str, name: str) -> Iterator[tuple[Store, Round]]:
 
 def chosen_profile(name: str | None, round_summary: Round) -> CropProfile | None:
     """Return the crop profile that is named, or else the round's own; None without either."""
-    from cucumbervision.agronomy.profiles import load_profile
+    from cucumbervision.crop.profiles import load_profile
 
     profile = name or round_summary.profile
     return load_profile(profile) if profile else None
@@ -67,7 +67,7 @@ def new(
     profile: Annotated[str, typer.Option(help="Crop profile.")] = "long-cucumber",
 ) -> None:
     """Create a round and print its key."""
-    from cucumbervision.agronomy.profiles import load_profile
+    from cucumbervision.crop.profiles import load_profile
     from cucumbervision_greenhouse.store.records import Round
     from cucumbervision_greenhouse.store.repository import open_store
 
@@ -120,7 +120,7 @@ def add(
     from rich.console import Console
 
     from cucumbervision.cli.console import progress_bar, screen, stopping_gently
-    from cucumbervision.pipeline.inputs import count_captures
+    from cucumbervision.run.inputs import count_captures
     from cucumbervision_greenhouse.rounds.adding import add_captures
     from cucumbervision_greenhouse.rounds.data_doubts import round_doubts
     from cucumbervision_greenhouse.rounds.placing import Place
@@ -172,7 +172,7 @@ def with_limits(options: MeasureOptions, round_summary: Round) -> MeasureOptions
 def _show_added(done: Sequence[Added], *, interrupted: bool) -> int:
     """Print the outcome of the captures, and return the exit code."""
     from cucumbervision.cli.console import screen, show_failures
-    from cucumbervision.pipeline.measurer import exit_code
+    from cucumbervision.run.measurer import exit_code
 
     new = [added for added in done if added.new]
     failures = [added.failure for added in done if added.failure]
@@ -207,7 +207,7 @@ def remeasure(
     from rich.console import Console
 
     from cucumbervision.cli.console import progress_bar, screen, show_failures
-    from cucumbervision.pipeline.measurer import exit_code
+    from cucumbervision.run.measurer import exit_code
     from cucumbervision_greenhouse.rounds.remeasuring import measure_round_again
 
     with opened_round(store, round_) as (opened, round_summary):
@@ -314,8 +314,8 @@ def show(
 
 
 def _cells(line: FruitRow, profile: CropProfile | None) -> list[str]:
-    from cucumbervision.agronomy.grades import grade
-    from cucumbervision.measurement.flags import flag_remarks
+    from cucumbervision.crop.grades import grade
+    from cucumbervision.methods.flags import flag_remarks
 
     view, record = line, line
     length = record.length

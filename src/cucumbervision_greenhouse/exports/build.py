@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Any
 
 from cucumbervision._version import __version__
 from cucumbervision.about import LICENCE, source_offer
-from cucumbervision.agronomy.grades import grade
+from cucumbervision.crop.grades import grade
 from cucumbervision.capture.source import safe_name
 from cucumbervision.errors import CucumberVisionError, ForecastError
-from cucumbervision.measurement.flags import flag_remarks
-from cucumbervision.pipeline.fields import FIELDS, Field, read_fields, utc
-from cucumbervision_greenhouse.agronomy.picking import PickKind, pick_list, plan_work
+from cucumbervision.methods.flags import flag_remarks
+from cucumbervision.run.fields import FIELDS, Field, read_fields, utc
+from cucumbervision_greenhouse.forecast.picking import PickKind, pick_list, plan_work
 from cucumbervision_greenhouse.exports.fruit_pictures import fruit_pictures
 from cucumbervision_greenhouse.rounds.forecasting import date_after, day_0_s, forecast_today
 from cucumbervision_greenhouse.rounds.from_store import read_round
@@ -34,10 +34,10 @@ from cucumbervision_greenhouse.store.records import FruitRow
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
-    from cucumbervision.agronomy.profiles import CropProfile
-    from cucumbervision.pipeline.fields import Cell
-    from cucumbervision_greenhouse.agronomy.forecast import Counts, Forecast
-    from cucumbervision_greenhouse.agronomy.picking import Rates
+    from cucumbervision.crop.profiles import CropProfile
+    from cucumbervision.run.fields import Cell
+    from cucumbervision_greenhouse.forecast.forecast import Counts, Forecast
+    from cucumbervision_greenhouse.forecast.picking import Rates
     from cucumbervision_greenhouse.rounds.from_store import RoundContent
     from cucumbervision_greenhouse.store.records import (
         ArtifactRecord,

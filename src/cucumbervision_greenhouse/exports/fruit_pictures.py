@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 
 from cucumbervision.capture.camera_file import CameraModel
-from cucumbervision.instances.mask_codes import decode_rle
-from cucumbervision.pipeline.overlay import (
+from cucumbervision.fruit.mask_codes import decode_rle
+from cucumbervision.run.overlay import (
     COLORS,
     as_jpeg,
     draw_bar,

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from cucumbervision.agronomy.grades import WITHOUT_CLASS
-from cucumbervision_greenhouse.agronomy.picking import hours_words
+from cucumbervision.crop.grades import WITHOUT_CLASS
+from cucumbervision_greenhouse.forecast.picking import hours_words
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 from cucumbervision.errors import MissingExtraError, wrap_os_errors
 from cucumbervision.files import write_csv, write_json
-from cucumbervision.pipeline.tables import Workbook, write_parquet
-from cucumbervision_greenhouse.agronomy.picking import PickKind
+from cucumbervision.run.tables import Workbook, write_parquet
+from cucumbervision_greenhouse.forecast.picking import PickKind
 from cucumbervision_greenhouse.exports import ExportFormat
 from cucumbervision_greenhouse.exports.build import ExportTable
 from cucumbervision_greenhouse.exports.page_words import ENGLISH
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from jinja2 import Template
 
-    from cucumbervision.pipeline.fields import Cell
+    from cucumbervision.run.fields import Cell
     from cucumbervision_greenhouse.exports.build import RoundTables
     from cucumbervision_greenhouse.exports.page_words import PageWords
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import streamlit as st
 
 from cucumbervision.accuracy.own_truth import OwnTruth, evaluate_lengths
-from cucumbervision.measurement.result import LengthDefinition
+from cucumbervision.methods.result import LengthDefinition
 from cucumbervision_greenhouse import resources, round_caches
 from cucumbervision_greenhouse.core_words import words_of
 from cucumbervision_greenhouse.language import decimal_words, marked, number_words, plain

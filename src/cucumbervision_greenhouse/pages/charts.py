@@ -14,7 +14,7 @@ import pyarrow as pa
 import streamlit as st
 from altair.utils.schemapi import disable_debug_mode
 
-from cucumbervision.agronomy.grades import class_name
+from cucumbervision.crop.grades import class_name
 from cucumbervision_greenhouse.fruit_pictures import CLASS_GREENS, OTHER_COLORS
 from cucumbervision_greenhouse.language import date_names, day_month_words
 from cucumbervision_greenhouse.language import gettext as _
@@ -24,7 +24,7 @@ from cucumbervision_greenhouse.words import class_words, expected_classes, forec
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from cucumbervision_greenhouse.agronomy.forecast import Forecast
+    from cucumbervision_greenhouse.forecast.forecast import Forecast
     from cucumbervision_greenhouse.settings import Units
 
 # Checking each chart against Altair's schema takes longer than all other work of a page, and Vega

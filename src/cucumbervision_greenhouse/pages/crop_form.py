@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import streamlit as st
 
-from cucumbervision.agronomy.profiles import profiles
+from cucumbervision.crop.profiles import profiles
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision_greenhouse import resources, round_caches
 from cucumbervision_greenhouse.core_words import words_of
@@ -22,7 +22,7 @@ from cucumbervision_greenhouse.rounds.fruit_table import on_the_plant
 from cucumbervision_greenhouse.words import class_words, label_words, round_name
 
 if TYPE_CHECKING:
-    from cucumbervision.agronomy.profiles import CropProfile
+    from cucumbervision.crop.profiles import CropProfile
 
 
 _DRAWN = "limits_drawn"

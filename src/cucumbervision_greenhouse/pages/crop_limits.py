@@ -7,8 +7,8 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from cucumbervision.agronomy.grades import grade
-from cucumbervision.agronomy.profiles import CropProfile, profiles, profiles_folder
+from cucumbervision.crop.grades import grade
+from cucumbervision.crop.profiles import CropProfile, profiles, profiles_folder
 from cucumbervision.capture.source import safe_name
 from cucumbervision.errors import Message, ProfileError
 from cucumbervision.files import parse_model
@@ -56,7 +56,7 @@ class CropLimits:
 
         Examples
         --------
-        >>> from cucumbervision.agronomy.profiles import load_profile
+        >>> from cucumbervision.crop.profiles import load_profile
         >>> limits = CropLimits.of(load_profile("long-cucumber"))
         >>> limits.edges_m, limits.pick, limits.arc_mm_per_10cm, limits.minimum_g
         ((0.2, 0.25, 0.35), ('I',), (10.0, 20.0), 250.0)

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import streamlit as st
 
-from cucumbervision.agronomy.grades import UNDECIDED, class_of
+from cucumbervision.crop.grades import UNDECIDED, class_of
 from cucumbervision_greenhouse import resources, round_caches
-from cucumbervision_greenhouse.agronomy.forecast import Forecast
-from cucumbervision_greenhouse.agronomy.picking import Span, plan_work
+from cucumbervision_greenhouse.forecast.forecast import Forecast
+from cucumbervision_greenhouse.forecast.picking import Span, plan_work
 from cucumbervision_greenhouse.language import counted, language, plain
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.pages import page_elements

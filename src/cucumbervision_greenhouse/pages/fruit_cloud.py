@@ -9,8 +9,8 @@ import numpy as np
 import pydeck
 
 from cucumbervision.capture.frames import valid_depth
-from cucumbervision.instances.mask_codes import decode_rle
-from cucumbervision.instances.masks import mask_window
+from cucumbervision.fruit.mask_codes import decode_rle
+from cucumbervision.fruit.masks import mask_window
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from cucumbervision.accuracy.own_truth import REPORTED, Measured, Reading
 from cucumbervision.accuracy.truth import Line, Truth, parse_number, read_table, read_truth
 from cucumbervision.errors import TruthError
-from cucumbervision.measurement.methods import AVAILABLE
+from cucumbervision.methods.methods import AVAILABLE
 from cucumbervision_greenhouse.rounds.from_store import read_round
 from cucumbervision_greenhouse.rounds.fruit_table import fruit_table
 from cucumbervision_greenhouse.settings import replace_text
@@ -21,7 +21,7 @@ from cucumbervision_greenhouse.store.records import Verdict
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from cucumbervision.measurement.result import LengthDefinition
+    from cucumbervision.methods.result import LengthDefinition
     from cucumbervision_greenhouse.settings import Units
     from cucumbervision_greenhouse.store.records import FruitRow
     from cucumbervision_greenhouse.store.repository import Store
@@ -210,7 +210,7 @@ def is_odd(record: FruitRow, hand_m: float | None) -> bool:
 
     Examples
     --------
-    >>> from cucumbervision.measurement.result import Length
+    >>> from cucumbervision.methods.result import Length
     >>> from cucumbervision_greenhouse.store.records import FruitRow
     >>> fruit = FruitRow(1, length=Length(0.25))
     >>> is_odd(fruit, 0.26), is_odd(fruit, 0.75), is_odd(fruit, 0.10), is_odd(fruit, None)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from streamlit.delta_generator import DeltaGenerator
 
-    from cucumbervision_greenhouse.agronomy.picking import PickWork
+    from cucumbervision_greenhouse.forecast.picking import PickWork
     from cucumbervision_greenhouse.jobs import Job
     from cucumbervision_greenhouse.store.records import FruitRow, Round
 
@@ -321,7 +321,7 @@ def work_words(work: PickWork) -> str:
 
     Examples
     --------
-    >>> from cucumbervision_greenhouse.agronomy.picking import PickWork
+    >>> from cucumbervision_greenhouse.forecast.picking import PickWork
     >>> work_words(PickWork(70, {"I": 70}, 0.2333, {"I": 6}))
     '14 min and 6 crates'
     """

@@ -9,7 +9,7 @@ import streamlit as st
 
 from cucumbervision.calibration.calibration_file import read_site_calibration
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision.measurement.result import LengthDefinition, Selector
+from cucumbervision.methods.result import LengthDefinition, Selector
 from cucumbervision_greenhouse import resources
 from cucumbervision_greenhouse.camera import cameras
 from cucumbervision_greenhouse.core_words import words_of

@@ -17,7 +17,7 @@ from cucumbervision.calibration.calibration_file import (
 from cucumbervision.calibration.site_calibration import calibrate_camera
 from cucumbervision.capture.source import safe_name
 from cucumbervision.errors import CalibrationError, CucumberVisionError, Message
-from cucumbervision.measurement.result import MethodName, calibration_key
+from cucumbervision.methods.result import MethodName, calibration_key
 from cucumbervision.names import checked_name
 from cucumbervision_greenhouse.language import counted, decimal_words, number_words
 from cucumbervision_greenhouse.language import gettext as _
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from cucumbervision.accuracy.own_truth import OwnTruth
     from cucumbervision.calibration.calibration_file import SiteCalibration
     from cucumbervision.capture.frames import Capture
-    from cucumbervision.measurement.result import LengthDefinition
+    from cucumbervision.methods.result import LengthDefinition
     from cucumbervision_greenhouse.settings import Units
     from cucumbervision_greenhouse.store.repository import Store
 

@@ -10,7 +10,7 @@ import streamlit as st
 
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision_greenhouse import resources, round_caches, tasks
-from cucumbervision_greenhouse.agronomy.picking import PickKind, work_of
+from cucumbervision_greenhouse.forecast.picking import PickKind, work_of
 from cucumbervision_greenhouse.core_words import words_of
 from cucumbervision_greenhouse.language import counted, marked, ngettext, plain, sentence
 from cucumbervision_greenhouse.language import gettext as _
@@ -35,7 +35,7 @@ from cucumbervision_greenhouse.words import (
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from cucumbervision_greenhouse.agronomy.picking import Pick
+    from cucumbervision_greenhouse.forecast.picking import Pick
     from cucumbervision_greenhouse.rounds.forecasting import RowPicks, Today
     from cucumbervision_greenhouse.store.records import Round
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from cucumbervision.errors import StoreAwayError
-from cucumbervision.pipeline.batch import (
+from cucumbervision.run.batch import (
     Engine,
     Item,
     LoopOptions,
@@ -21,8 +21,8 @@ from cucumbervision.pipeline.batch import (
     measure_all,
     never,
 )
-from cucumbervision.pipeline.inputs import Listed, read_captures
-from cucumbervision.pipeline.measurer import Boundary, Failure, Measurer
+from cucumbervision.run.inputs import Listed, read_captures
+from cucumbervision.run.measurer import Boundary, Failure, Measurer
 from cucumbervision_greenhouse.rounds.placing import Place, Placed
 from cucumbervision_greenhouse.rounds.walking import refuse_taken
 from cucumbervision_greenhouse.store.records import Saved, key_of
@@ -32,8 +32,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from cucumbervision.capture.frames import Capture
-    from cucumbervision.pipeline.measurer import CaptureResult
-    from cucumbervision.pipeline.options import MeasureOptions
+    from cucumbervision.run.measurer import CaptureResult
+    from cucumbervision.run.options import MeasureOptions
     from cucumbervision_greenhouse.store.repository import Store
 
 

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from cucumbervision.measurement.methods import AVAILABLE
-from cucumbervision.pipeline.fields import table_row
-from cucumbervision.pipeline.summary import Summary
+from cucumbervision.methods.methods import AVAILABLE
+from cucumbervision.run.fields import table_row
+from cucumbervision.run.summary import Summary
 from cucumbervision_greenhouse.store.records import Verdict
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from cucumbervision.pipeline.fields import Cell
+    from cucumbervision.run.fields import Cell
     from cucumbervision_greenhouse.store.records import FruitRow
 
 

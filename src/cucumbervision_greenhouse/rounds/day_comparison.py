@@ -8,8 +8,8 @@ from enum import StrEnum
 from statistics import median
 from typing import TYPE_CHECKING
 
-from cucumbervision.measurement.result import LengthDefinition
-from cucumbervision_greenhouse.agronomy.forecast import natural_key
+from cucumbervision.methods.result import LengthDefinition
+from cucumbervision_greenhouse.forecast.forecast import natural_key
 from cucumbervision_greenhouse.rounds.day_linking import SURE
 from cucumbervision_greenhouse.store.links import LinkKind
 

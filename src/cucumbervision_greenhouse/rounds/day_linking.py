@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.measurement.matching import ALONG, UP, log_density
+from cucumbervision.methods.matching import ALONG, UP, log_density
 from cucumbervision_greenhouse.rounds.row_views import pairs_within
 
 if TYPE_CHECKING:

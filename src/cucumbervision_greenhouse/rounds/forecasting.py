@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.agronomy.grades import class_of, grade
+from cucumbervision.crop.grades import class_of, grade
 from cucumbervision.errors import ForecastError
-from cucumbervision.measurement.intervals import SCALE_SD
-from cucumbervision.measurement.result import UNKNOWN_SD
-from cucumbervision_greenhouse.agronomy.forecast import Counts, DetectionRates, forecast
-from cucumbervision_greenhouse.agronomy.growth import GrowthPrior, Link, fit_growth
-from cucumbervision_greenhouse.agronomy.length_draws import FruitState
-from cucumbervision_greenhouse.agronomy.picking import Pick, PickKind, pick_list
+from cucumbervision.methods.intervals import SCALE_SD
+from cucumbervision.methods.result import UNKNOWN_SD
+from cucumbervision_greenhouse.forecast.forecast import Counts, DetectionRates, forecast
+from cucumbervision_greenhouse.forecast.growth import GrowthPrior, Link, fit_growth
+from cucumbervision_greenhouse.forecast.length_draws import FruitState
+from cucumbervision_greenhouse.forecast.picking import Pick, PickKind, pick_list
 from cucumbervision_greenhouse.rounds.day_linking import SURE
 from cucumbervision_greenhouse.rounds.from_store import read_round
 from cucumbervision_greenhouse.rounds.fruit_table import fruit_table
@@ -31,9 +31,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from cucumbervision.agronomy.profiles import CropProfile
-    from cucumbervision.measurement.result import Length
-    from cucumbervision_greenhouse.agronomy.forecast import Forecast
+    from cucumbervision.crop.profiles import CropProfile
+    from cucumbervision.methods.result import Length
+    from cucumbervision_greenhouse.forecast.forecast import Forecast
     from cucumbervision_greenhouse.rounds.from_store import RoundContent
     from cucumbervision_greenhouse.store.records import ArtifactRecord, FruitRow, Round
     from cucumbervision_greenhouse.store.repository import Store

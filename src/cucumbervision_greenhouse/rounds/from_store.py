@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.errors import RoundError
-from cucumbervision.measurement.matching import ALONG, DEPTH, UP
-from cucumbervision.measurement.result import UNKNOWN_SD, LengthDefinition
+from cucumbervision.methods.matching import ALONG, DEPTH, UP
+from cucumbervision.methods.result import UNKNOWN_SD, LengthDefinition
 from cucumbervision_greenhouse.rounds.merge import NO_PAIRS, ByHand, Merged, cluster_pairs
 from cucumbervision_greenhouse.rounds.poses import MIDDLE_SD_M, offset_of, stored_pose
 from cucumbervision_greenhouse.rounds.row_views import RowStops, RowViews

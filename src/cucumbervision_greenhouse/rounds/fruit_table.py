@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cucumbervision.measurement.matching import pooled_length
-from cucumbervision.measurement.result import INTERVAL_Z
-from cucumbervision_greenhouse.agronomy.forecast import natural_key
+from cucumbervision.methods.matching import pooled_length
+from cucumbervision.methods.result import INTERVAL_Z
+from cucumbervision_greenhouse.forecast.forecast import natural_key
 from cucumbervision_greenhouse.rounds.from_store import (
     CONTENTS,
     RoundContent,

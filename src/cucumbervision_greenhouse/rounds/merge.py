@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.measurement.matching import ALONG, DEPTH, position_ratio
+from cucumbervision.methods.matching import ALONG, DEPTH, position_ratio
 from cucumbervision_greenhouse.rounds.row_views import (
     RowStops,
     RowViews,
@@ -23,7 +23,7 @@ from cucumbervision_greenhouse.rounds.stop_alignment import (
 )
 
 if TYPE_CHECKING:
-    from cucumbervision.measurement.matching import Crowd
+    from cucumbervision.methods.matching import Crowd
     from cucumbervision_greenhouse.rounds.row_views import Floats, Ints
 
 _LEAST_RATIO = -8.0  # log likelihood ratio of a pair that is no candidate

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.errors import RoundError, StoreError
-from cucumbervision.measurement.matching import ALONG
+from cucumbervision.methods.matching import ALONG
 from cucumbervision.names import house_key
 from cucumbervision_greenhouse.rounds.day_linking import link_days
 from cucumbervision_greenhouse.rounds.demonstration import is_demonstration
@@ -34,7 +34,7 @@ from cucumbervision_greenhouse.store.marks import MOVE_ROUND, STOP_EDITS
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from cucumbervision.agronomy.profiles import CropProfile
+    from cucumbervision.crop.profiles import CropProfile
     from cucumbervision.capture.frames import Stop
     from cucumbervision_greenhouse.rounds.from_store import StoredRow
     from cucumbervision_greenhouse.store.records import Round, StopRecord

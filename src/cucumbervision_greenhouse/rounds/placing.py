@@ -10,7 +10,7 @@ import numpy as np
 from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.frames import Stop
 from cucumbervision.errors import RoundError
-from cucumbervision.pipeline.measurer import Measurer
+from cucumbervision.run.measurer import Measurer
 from cucumbervision_greenhouse.rounds.poses import (
     MIDDLE_SD_M,
     PoseLine,
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cucumbervision.capture.frames import Capture
-    from cucumbervision.pipeline.measurer import CaptureResult
+    from cucumbervision.run.measurer import CaptureResult
     from cucumbervision_greenhouse.store.images import ImageStore
 
 

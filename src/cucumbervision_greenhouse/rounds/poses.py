@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from cucumbervision.errors import RoundError, wrap_reader_errors
-from cucumbervision.measurement.matching import SURFACE_DEPTH_SD_M, SURFACE_SD_M
+from cucumbervision.methods.matching import SURFACE_DEPTH_SD_M, SURFACE_SD_M
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -213,7 +213,7 @@ def offset_of(
     Examples
     --------
     >>> from cucumbervision_greenhouse.store.records import FruitRow
-    >>> from cucumbervision.measurement.result import Length
+    >>> from cucumbervision.methods.result import Length
     >>> middle = {"centre_x_m": 0.2, "centre_y_m": 0.1, "centre_z_m": 0.7}
     >>> middle |= {"diameter_max_m": 0.04, "hidden_share": 0.5}
     >>> cut = FruitRow(1, length=Length(0.3), **middle)

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.capture.source import CaptureRef
-from cucumbervision.instances.instance import MaskSource
-from cucumbervision.instances.mask_codes import decode_rle
-from cucumbervision.instances.masks import box_ious
-from cucumbervision.pipeline.batch import LoopOptions, ResultWorker, measure_all
-from cucumbervision.pipeline.inputs import Listed
-from cucumbervision.pipeline.measurer import Boundary, Failure, Measurer
-from cucumbervision.pipeline.options import GRAVITY_BY_EDGE
+from cucumbervision.fruit.instance import MaskSource
+from cucumbervision.fruit.mask_codes import decode_rle
+from cucumbervision.fruit.masks import box_ious
+from cucumbervision.run.batch import LoopOptions, ResultWorker, measure_all
+from cucumbervision.run.inputs import Listed
+from cucumbervision.run.measurer import Boundary, Failure, Measurer
+from cucumbervision.run.options import GRAVITY_BY_EDGE
 from cucumbervision_greenhouse.rounds.poses import placed_stop, stored_pose
 from cucumbervision_greenhouse.rounds.stop_records import (
     instance_of,
@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from cucumbervision.capture.frames import Capture
-    from cucumbervision.pipeline.measurer import CaptureResult
-    from cucumbervision.pipeline.options import MeasureOptions
+    from cucumbervision.run.measurer import CaptureResult
+    from cucumbervision.run.options import MeasureOptions
     from cucumbervision_greenhouse.store.records import CaptureRecord, Round, StopRecord
     from cucumbervision_greenhouse.store.repository import Store
 

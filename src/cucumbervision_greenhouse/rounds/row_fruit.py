@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.measurement.matching import pooled_length
+from cucumbervision.methods.matching import pooled_length
 
 if TYPE_CHECKING:
     from cucumbervision_greenhouse.rounds.merge import Merged

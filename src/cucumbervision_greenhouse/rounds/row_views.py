@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from cucumbervision.measurement.matching import Crowd
+from cucumbervision.methods.matching import Crowd
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

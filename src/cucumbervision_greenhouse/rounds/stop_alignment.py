@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.measurement.matching import ALONG, log_density, position_ratio
+from cucumbervision.methods.matching import ALONG, log_density, position_ratio
 from cucumbervision_greenhouse.rounds.row_views import shape_ratio
 
 if TYPE_CHECKING:
-    from cucumbervision.measurement.matching import Crowd
+    from cucumbervision.methods.matching import Crowd
     from cucumbervision_greenhouse.rounds.row_views import Bools, Floats, Ints, RowStops, RowViews
 
 _STUDENT_FREEDOM = 4.0  # degrees of freedom of Student's t

@@ -16,10 +16,10 @@ from cucumbervision.capture.frames import Capture, Doubt, Stop
 from cucumbervision.capture.readers.native import MANIFEST
 from cucumbervision.errors import InstancesError, Message
 from cucumbervision.files import json_value
-from cucumbervision.geometry.curve import arc_positions
-from cucumbervision.instances.instance import Instance, MaskSource
-from cucumbervision.instances.mask_codes import decode_rle, encode_rle
-from cucumbervision.pipeline.fields import stored_row
+from cucumbervision.tube.curve import arc_positions
+from cucumbervision.fruit.instance import Instance, MaskSource
+from cucumbervision.fruit.mask_codes import decode_rle, encode_rle
+from cucumbervision.run.fields import stored_row
 from cucumbervision_greenhouse.store.images import DEPTH_UNIT_M
 from cucumbervision_greenhouse.store.records import (
     ArtifactRecord,
@@ -35,8 +35,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from cucumbervision.measurement.result import Fruit, Measurement
-    from cucumbervision.pipeline.measurer import CaptureResult, Measurer
+    from cucumbervision.methods.result import Fruit, Measurement
+    from cucumbervision.run.measurer import CaptureResult, Measurer
     from cucumbervision_greenhouse.store.images import ImageStore
 
 _PATH_POINTS = 48  # points of a stored path

@@ -12,9 +12,9 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from cucumbervision.errors import StoreError
-from cucumbervision.measurement.flags import is_length_unknown, is_lower_bound
-from cucumbervision.measurement.result import Length
-from cucumbervision.pipeline.fields import STORED_FIELDS, stored_length
+from cucumbervision.methods.flags import is_length_unknown, is_lower_bound
+from cucumbervision.methods.result import Length
+from cucumbervision.run.fields import STORED_FIELDS, stored_length
 
 if TYPE_CHECKING:
     from cucumbervision_greenhouse.store.links import LinkRecord

@@ -107,7 +107,7 @@ def open_store(where: str | Path, *, images: Path | None = None, create: bool = 
     Examples
     --------
     >>> import tempfile
-    >>> from cucumbervision.measurement.result import Length
+    >>> from cucumbervision.methods.result import Length
     >>> from cucumbervision_greenhouse.store.records import CaptureRecord, FruitRow, Round
     >>> from cucumbervision_greenhouse.store.records import StopRecord, new_key
     >>> walk, stop = Round(name="morning"), new_key()

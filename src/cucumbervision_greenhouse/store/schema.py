@@ -24,7 +24,7 @@ from sqlalchemy import (
     false,
 )
 
-from cucumbervision.pipeline.fields import STORED_FIELDS
+from cucumbervision.run.fields import STORED_FIELDS
 
 VERSION = "4"
 """Of the tables: of the newest step in `migrations`."""

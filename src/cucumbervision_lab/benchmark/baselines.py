@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.errors import MissingExtraError
-from cucumbervision.instances.masks import mask_window
+from cucumbervision.fruit.masks import mask_window
 
 if TYPE_CHECKING:
     from types import ModuleType

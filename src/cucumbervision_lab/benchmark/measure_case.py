@@ -13,12 +13,12 @@ import numpy as np
 
 from cucumbervision.errors import CucumberVisionError, MissingExtraError, wrap_reader_errors
 from cucumbervision.files import parse_model, read_text
-from cucumbervision.instances.instance import Instance, MaskSource
-from cucumbervision.instances.masks import box_iou, box_of_mask, distances_inside, mask_iou
-from cucumbervision.measurement.intervals import mask_features, tube_features
-from cucumbervision.measurement.methods import AVAILABLE, masked_points
-from cucumbervision.measurement.result import MethodName, Selector
-from cucumbervision.measurement.selector import choose, measure_fruit
+from cucumbervision.fruit.instance import Instance, MaskSource
+from cucumbervision.fruit.masks import box_iou, box_of_mask, distances_inside, mask_iou
+from cucumbervision.methods.intervals import mask_features, tube_features
+from cucumbervision.methods.methods import AVAILABLE, masked_points
+from cucumbervision.methods.result import MethodName, Selector
+from cucumbervision.methods.selector import choose, measure_fruit
 from cucumbervision_lab.benchmark.baselines import available_baselines
 from cucumbervision_lab.benchmark.cases import Simulated, simulate
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cucumbervision.capture.frames import Capture
-    from cucumbervision.measurement.result import Fruit
+    from cucumbervision.methods.result import Fruit
     from cucumbervision_lab.benchmark.cases import Case
 
     Find = Callable[[Capture], Sequence[Instance]]

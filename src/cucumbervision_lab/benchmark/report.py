@@ -13,8 +13,8 @@ from cucumbervision.accuracy.statistics import Estimate, estimate, score
 from cucumbervision.accuracy.table import Cell, ReportTable
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.files import write_json
-from cucumbervision.measurement.methods import AVAILABLE, TableMethod
-from cucumbervision.measurement.result import LengthDefinition
+from cucumbervision.methods.methods import AVAILABLE, TableMethod
+from cucumbervision.methods.result import LengthDefinition
 from cucumbervision_lab.benchmark.cases import Suite
 from cucumbervision_lab.benchmark.measure_case import Masks
 

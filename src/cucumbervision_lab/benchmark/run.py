@@ -14,7 +14,7 @@ import pandas as pd
 from cucumbervision._version import __version__
 from cucumbervision.about import installed_versions
 from cucumbervision.errors import CucumberVisionError, MissingExtraError
-from cucumbervision.measurement.intervals import (
+from cucumbervision.methods.intervals import (
     LEAST_SPREAD,
     PERCEIVED,
     SCALE_SD,
@@ -27,10 +27,10 @@ from cucumbervision.measurement.intervals import (
     raw_features,
     spread,
 )
-from cucumbervision.measurement.methods import AVAILABLE
-from cucumbervision.measurement.result import IntervalBasis
-from cucumbervision.pipeline.finders import Finder, make_finder
-from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision.methods.methods import AVAILABLE
+from cucumbervision.methods.result import IntervalBasis
+from cucumbervision.run.finders import Finder, make_finder
+from cucumbervision.run.options import MeasureOptions
 from cucumbervision_lab.benchmark.cases import paper_cases, stress_cases, validation_cases
 from cucumbervision_lab.benchmark.measure_case import (
     CaseOptions,
@@ -40,7 +40,7 @@ from cucumbervision_lab.benchmark.measure_case import (
     read_records,
     readings_frame,
 )
-from cucumbervision_lab.datasets.labels import ticked
+from cucumbervision_lab.data.labels import ticked
 from cucumbervision_lab.processes import each_done
 
 if TYPE_CHECKING:
@@ -292,7 +292,7 @@ def write_interval_models(path: Path, models: IntervalModels) -> None:
     Examples
     --------
     >>> import tempfile, pathlib
-    >>> from cucumbervision.measurement.intervals import read_interval_models
+    >>> from cucumbervision.methods.intervals import read_interval_models
     >>> path = pathlib.Path(tempfile.mkdtemp()) / "models.json"
     >>> tilted = Trees(-4.5, ((0, 0, 0),), ((0.5, 0.2, 0.9),), ((-0.1, 0.0, 0.1, 0.2),))
     >>> bands, edges = {"": Band(1.5, 1.7, 700)}, (("tilt", (0.25,)),)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
-    from cucumbervision_lab.datasets.labels import DataSet
+    from cucumbervision_lab.data.labels import DataSet
 
 
 app = typer.Typer(
@@ -44,7 +44,7 @@ def check(
 
     from cucumbervision.cli.console import screen
     from cucumbervision_lab.cli.screen import ticking
-    from cucumbervision_lab.datasets.checks import check_folder
+    from cucumbervision_lab.data.checks import check_folder
 
     with ticking("looking") as tick:
         dataset, findings = check_folder(folder, _list(names), progress=tick)
@@ -89,7 +89,7 @@ def convert(
 ) -> None:
     """Convert a data set to another format."""
     from cucumbervision_lab.cli.screen import show, ticking
-    from cucumbervision_lab.datasets.derive import convert_dataset, parse_keep
+    from cucumbervision_lab.data.derive import convert_dataset, parse_keep
 
     dataset = _open(folder, names)
     with ticking("writing", len(dataset.pictures)) as tick:
@@ -125,9 +125,9 @@ def split(
 
     from cucumbervision.cli.console import screen
     from cucumbervision_lab.cli.screen import ticking
-    from cucumbervision_lab.datasets.coco import write_coco
-    from cucumbervision_lab.datasets.labels import SPLITS
-    from cucumbervision_lab.datasets.splits import (
+    from cucumbervision_lab.data.coco import write_coco
+    from cucumbervision_lab.data.labels import SPLITS
+    from cucumbervision_lab.data.splits import (
         find_scenes,
         parse_shares,
         scenes_by_name,
@@ -157,10 +157,10 @@ def pseudo(
     out: OutOrSame = None,
 ) -> None:
     """Add masks by SAM to labels with boxes only, as pseudo-labels; the test split is skipped."""
-    from cucumbervision.perception.networks import open_segmenter
+    from cucumbervision.networks.networks import open_segmenter
     from cucumbervision_lab.cli.screen import show, ticking
-    from cucumbervision_lab.datasets.coco import write_coco
-    from cucumbervision_lab.datasets.derive import add_pseudo_masks
+    from cucumbervision_lab.data.coco import write_coco
+    from cucumbervision_lab.data.derive import add_pseudo_masks
 
     dataset = _open(folder)
     segmenter = open_segmenter()
@@ -182,7 +182,7 @@ def merge(
 ) -> None:
     """Merge data sets; source and licence of each picture are kept."""
     from cucumbervision_lab.cli.screen import show, ticking
-    from cucumbervision_lab.datasets.derive import merge_datasets
+    from cucumbervision_lab.data.derive import merge_datasets
 
     sets = [_open(folder) for folder in folders]
     with ticking("writing", sum(len(d.pictures) for d in sets)) as tick:
@@ -203,7 +203,7 @@ def from_photos(
 ) -> None:
     """Write the audited photos, except those of test scenes, as a labelled set with masks."""
     from cucumbervision_lab.cli.screen import show
-    from cucumbervision_lab.training.data import photo_set
+    from cucumbervision_lab.train.data import photo_set
 
     made = photo_set(folder, out, as_d435=d435)
     show(f"{len(made.pictures)} photos are in {out}")
@@ -227,7 +227,7 @@ def from_store(
     from cucumbervision.cli.console import screen
     from cucumbervision_greenhouse.store.repository import open_store
     from cucumbervision_lab.cli.screen import show
-    from cucumbervision_lab.datasets.derive import dataset_from_store
+    from cucumbervision_lab.data.derive import dataset_from_store
 
     with open_store(store, create=False) as opened:
         made = dataset_from_store(opened, out, licence=licence)
@@ -246,7 +246,7 @@ def _list(names: str) -> list[str]:
 
 
 def _open(folder: Path, names: str = "") -> DataSet:
-    from cucumbervision_lab.datasets.checks import open_dataset
+    from cucumbervision_lab.data.checks import open_dataset
 
     return open_dataset(folder, _list(names))
 
@@ -299,9 +299,9 @@ def synth(
 ) -> None:
     """Generate synthetic cucumbers with colour, depth, masks, keypoints and lengths."""
     from cucumbervision_lab.cli.screen import show, ticking
-    from cucumbervision_lab.datasets.splits import parse_shares
-    from cucumbervision_lab.synthesis.frame import FrameOptions
-    from cucumbervision_lab.synthesis.generate import SynthOptions, generate, parse_size
+    from cucumbervision_lab.data.splits import parse_shares
+    from cucumbervision_lab.scenes.frame import FrameOptions
+    from cucumbervision_lab.scenes.generate import SynthOptions, generate, parse_size
 
     frame = FrameOptions(*parse_size(size), parse_shares(shares, ","), depth, hard=hard)
     options = SynthOptions(frames, seed, frame, assets, split, paste, onto)

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from cucumbervision.cli.choices import InputSize, Runtime
-from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
+from cucumbervision.networks.confidence import DEFAULT_CONFIDENCE
 
 Seg = Annotated[
     Path | None, typer.Option(help="YOLO segmentation .onnx; default: the packaged network.")
@@ -42,7 +42,7 @@ def evaluate_models(
     ] = 40,
 ) -> None:
     """Evaluate the networks on labelled pictures: precision, recall, keypoints, masks, lengths."""
-    from cucumbervision.perception.confidence import parse_input_sizes
+    from cucumbervision.networks.confidence import parse_input_sizes
     from cucumbervision_lab.cli.screen import part_bars, show, show_tables
     from cucumbervision_lab.detection.report import detection_tables, write_detection_report
     from cucumbervision_lab.detection.run import evaluate_detection
@@ -79,7 +79,7 @@ def evaluate_photos(
     split: Annotated[str, typer.Option(help="Split: test, val or train.")] = "test",
 ) -> None:
     """Evaluate the networks on audited real photos: recall and precision by test."""
-    from cucumbervision.perception.confidence import parse_input_sizes
+    from cucumbervision.networks.confidence import parse_input_sizes
     from cucumbervision_lab.cli.screen import show, show_tables, ticking
     from cucumbervision_lab.detection.photos import audited_photos
     from cucumbervision_lab.detection.photos import evaluate_photos as evaluate

@@ -16,8 +16,8 @@ from cucumbervision.cli.choices import InputSize
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from cucumbervision_lab.datasets.labels import DataSet
-    from cucumbervision_lab.training.classifier import ClassifierOptions, Trained
+    from cucumbervision_lab.data.labels import DataSet
+    from cucumbervision_lab.train.classifier import ClassifierOptions, Trained
 
     Tick = Callable[[int], None]
 
@@ -72,8 +72,8 @@ def network(
 ) -> None:
     """Train a detector by Ultralytics: boxes with masks, or with keypoints."""
     from cucumbervision_lab.cli.screen import show
-    from cucumbervision_lab.training.data import open_sets
-    from cucumbervision_lab.training.train import NETWORK, TrainOptions, train
+    from cucumbervision_lab.train.data import open_sets
+    from cucumbervision_lab.train.train import NETWORK, TrainOptions, train
 
     # A training that goes on has its data in RUN.
     read = [] if (out / NETWORK).is_file() else open_sets(sets)
@@ -111,8 +111,8 @@ def house(
     Rerun the command to resume. `models use RUN` then switches to the new detector.
     """
     from cucumbervision_lab.cli.screen import show
-    from cucumbervision_lab.training.house import train_house
-    from cucumbervision_lab.training.train import TrainOptions
+    from cucumbervision_lab.train.house import train_house
+    from cucumbervision_lab.train.train import TrainOptions
 
     judged = train_house(
         data,
@@ -190,8 +190,8 @@ def classifier(
     from rich.table import Table
 
     from cucumbervision_lab.cli.screen import part_bars
-    from cucumbervision_lab.datasets.checks import open_dataset
-    from cucumbervision_lab.training.classifier import ClassifierOptions, write_classifier_card
+    from cucumbervision_lab.data.checks import open_dataset
+    from cucumbervision_lab.train.classifier import ClassifierOptions, write_classifier_card
 
     look = kind is SmallNetwork.LOOK
     if leaves is not None and not look:
@@ -229,8 +229,8 @@ def _count(report: Callable[[str, int, int], None], total: int, count: int) -> N
 def _train_fruit(
     sets: Sequence[DataSet], file: Path, init: str, options: ClassifierOptions, cut: Tick
 ) -> Trained:
-    from cucumbervision_lab.training.fruit_crops import collect_sets
-    from cucumbervision_lab.training.fruit_look import train_fruit
+    from cucumbervision_lab.train.fruit_crops import collect_sets
+    from cucumbervision_lab.train.fruit_look import train_fruit
 
     crops = collect_sets(sets, file.with_name(f"{file.stem}-crops"), cut)
     return train_fruit(crops, init, file, options)
@@ -245,9 +245,9 @@ def _train_look(
     cut: Tick,
 ) -> Trained:
     """Train the look at ends and learn its intervals; what was measured stays in the folder."""
-    from cucumbervision_lab.synthesis.covers import read_pieces
-    from cucumbervision_lab.training.end_crops import EndCrops, collect_set
-    from cucumbervision_lab.training.end_look import learn_look_intervals, train_look
+    from cucumbervision_lab.scenes.covers import read_pieces
+    from cucumbervision_lab.train.end_crops import EndCrops, collect_set
+    from cucumbervision_lab.train.end_look import learn_look_intervals, train_look
 
     pieces = () if leaves is None else read_pieces(leaves)
     parts = [
@@ -276,7 +276,7 @@ def average(
 ) -> None:
     """Average two checkpoints, which reduces forgetting after fine-tuning."""
     from cucumbervision_lab.cli.screen import show
-    from cucumbervision_lab.training.train import average_networks
+    from cucumbervision_lab.train.train import average_networks
 
     show(average_networks(first, second, out, share))
 
@@ -293,9 +293,9 @@ def export(
     input_size: InputSize = "",
 ) -> None:
     """Export a network to ONNX with its card."""
-    from cucumbervision.perception.confidence import parse_input_sizes
+    from cucumbervision.networks.confidence import parse_input_sizes
     from cucumbervision_lab.cli.screen import show
-    from cucumbervision_lab.training.export import export_trained
+    from cucumbervision_lab.train.export import export_trained
 
     export_trained(
         source,

@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from cucumbervision.accuracy.statistics import Estimate, share
-from cucumbervision.instances.masks import box_iou, box_ious, share_inside
+from cucumbervision.fruit.masks import box_iou, box_ious, share_inside
 from cucumbervision_lab.detection.pictures import Stage, code_iou, import_pycocotools
 
 if TYPE_CHECKING:

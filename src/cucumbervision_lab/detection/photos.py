@@ -18,10 +18,10 @@ import numpy as np
 from cucumbervision.capture.pictures import read_color
 from cucumbervision.errors import DataSetError
 from cucumbervision.files import read_json
-from cucumbervision.instances.label_files import parse_yolo_line
-from cucumbervision.instances.mask_codes import Rle, fill_polygon
-from cucumbervision.instances.masks import box_iou
-from cucumbervision_lab.datasets.labels import (
+from cucumbervision.fruit.label_files import parse_yolo_line
+from cucumbervision.fruit.mask_codes import Rle, fill_polygon
+from cucumbervision.fruit.masks import box_iou
+from cucumbervision_lab.data.labels import (
     DataSet,
     Label,
     LabelledPicture,

@@ -8,15 +8,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cucumbervision.capture.pictures import read_color
-from cucumbervision.perception.confidence import (
+from cucumbervision.networks.confidence import (
     CANDIDATE_CONFIDENCE,
     DEFAULT_CONFIDENCE,
     detector_floor,
     pose_floor,
 )
-from cucumbervision.perception.detectors import each_fruit_once
-from cucumbervision.perception.keypoint_axis import place_keypoints
-from cucumbervision.perception.networks import NetworkLoader
+from cucumbervision.networks.detectors import each_fruit_once
+from cucumbervision.networks.keypoint_axis import place_keypoints
+from cucumbervision.networks.networks import NetworkLoader
 from cucumbervision_lab.detection.outcomes import match_detections
 from cucumbervision_lab.detection.pictures import (
     DetectedFruit,
@@ -32,11 +32,11 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from cucumbervision.instances.instance import Instance
-    from cucumbervision.perception.looks import FruitLooker
-    from cucumbervision.perception.networks import NetworkSegmenter
-    from cucumbervision.perception.yolo import YoloDetector
-    from cucumbervision_lab.datasets.labels import DataSet
+    from cucumbervision.fruit.instance import Instance
+    from cucumbervision.networks.looks import FruitLooker
+    from cucumbervision.networks.networks import NetworkSegmenter
+    from cucumbervision.networks.yolo import YoloDetector
+    from cucumbervision_lab.data.labels import DataSet
 
 
 _LEAST_CONFIDENCE = 0.001

@@ -12,8 +12,8 @@ import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.errors import CaptureError, DataSetError, MissingExtraError
-from cucumbervision_lab.datasets.coco import read_coco
-from cucumbervision_lab.datasets.labels import picture_size
+from cucumbervision_lab.data.coco import read_coco
+from cucumbervision_lab.data.labels import picture_size
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cucumbervision.capture.frames import Capture
-    from cucumbervision.instances.instance import Instance
-    from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
+    from cucumbervision.fruit.instance import Instance
+    from cucumbervision_lab.data.labels import DataSet, Label, LabelledPicture
 
 T = TypeVar("T")
 Code = dict[str, Any]

@@ -15,8 +15,8 @@ from cucumbervision.about import LICENCE, installed_versions
 from cucumbervision.accuracy.statistics import Estimate, estimate, share
 from cucumbervision.accuracy.table import Cell, ReportTable
 from cucumbervision.files import write_csv
-from cucumbervision.instances.instance import LEAST_END_CONFIDENCE
-from cucumbervision.measurement.result import LengthDefinition
+from cucumbervision.fruit.instance import LEAST_END_CONFIDENCE
+from cucumbervision.methods.result import LengthDefinition
 from cucumbervision_lab.benchmark.measure_case import Masks
 from cucumbervision_lab.benchmark.report import (
     accuracy_table,

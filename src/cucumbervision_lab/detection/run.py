@@ -14,13 +14,13 @@ from scipy.stats import chi2
 
 from cucumbervision.capture.pictures import read_color
 from cucumbervision.errors import ModelError
-from cucumbervision.instances.instance import Instance, MaskSource
-from cucumbervision.instances.mask_codes import decode_rle
-from cucumbervision.instances.masks import box_ious, box_of_mask, mask_iou, share_inside
-from cucumbervision.measurement.pose import Part, stem_first
-from cucumbervision.measurement.selector import measure_fruit
-from cucumbervision.perception.confidence import DEFAULT_CONFIDENCE
-from cucumbervision.perception.registry import load_registry
+from cucumbervision.fruit.instance import Instance, MaskSource
+from cucumbervision.fruit.mask_codes import decode_rle
+from cucumbervision.fruit.masks import box_ious, box_of_mask, mask_iou, share_inside
+from cucumbervision.methods.pose import Part, stem_first
+from cucumbervision.methods.selector import measure_fruit
+from cucumbervision.networks.confidence import DEFAULT_CONFIDENCE
+from cucumbervision.networks.registry import load_registry
 from cucumbervision_lab.benchmark.cases import stress_cases
 from cucumbervision_lab.benchmark.measure_case import (
     READ,
@@ -39,7 +39,7 @@ from cucumbervision_lab.benchmark.run import (
     run_cases,
     write_interval_models,
 )
-from cucumbervision_lab.datasets.labels import ticked
+from cucumbervision_lab.data.labels import ticked
 from cucumbervision_lab.detection.outcomes import match_fruit
 from cucumbervision_lab.detection.picture_result import (
     detect_picture,
@@ -62,11 +62,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cucumbervision.capture.frames import Capture
-    from cucumbervision.measurement.intervals import IntervalModels
-    from cucumbervision.measurement.pose import FruitPose
-    from cucumbervision.measurement.result import Fruit
+    from cucumbervision.methods.intervals import IntervalModels
+    from cucumbervision.methods.pose import FruitPose
+    from cucumbervision.methods.result import Fruit
     from cucumbervision_lab.benchmark.measure_case import LengthRecord
-    from cucumbervision_lab.datasets.labels import DataSet, LabelledPicture
+    from cucumbervision_lab.data.labels import DataSet, LabelledPicture
     from cucumbervision_lab.detection.pictures import Frame, TrueFruit
 
     Report = Callable[[str, int, int], None]

@@ -13,8 +13,8 @@ from cucumbervision.capture.frames import Stop
 from cucumbervision.capture.realsense import CameraConfig
 from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import InstancesError, StoreError
-from cucumbervision.perception.registry import load_registry
-from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision.networks.registry import load_registry
+from cucumbervision.run.options import MeasureOptions
 from cucumbervision_greenhouse.camera.cameras import Feed, FolderCamera, StreamCamera
 from cucumbervision_greenhouse.camera.shutter import Press, Shutter
 from cucumbervision_greenhouse.jobs import Job

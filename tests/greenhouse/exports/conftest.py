@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cucumbervision.agronomy.profiles import load_profile
-from cucumbervision.measurement.result import Length, LengthDefinition
+from cucumbervision.crop.profiles import load_profile
+from cucumbervision.methods.result import Length, LengthDefinition
 from cucumbervision_greenhouse.exports.build import RoundTables, round_tables
 from cucumbervision_greenhouse.store.records import (
     ArtifactRecord,

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from tests.greenhouse.exports.conftest import CONFIG, MODEL, SITE, WALK
 
-from cucumbervision.agronomy.profiles import load_profile
+from cucumbervision.crop.profiles import load_profile
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision.pipeline.fields import FIELDS
+from cucumbervision.run.fields import FIELDS
 from cucumbervision_greenhouse.exports.build import RoundTables, round_tables
 from cucumbervision_greenhouse.store.records import (
     FruitRow,

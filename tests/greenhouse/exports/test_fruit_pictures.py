@@ -10,8 +10,8 @@ import pytest
 
 from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.intrinsics import Intrinsics, Stream
-from cucumbervision.instances.mask_codes import encode_rle
-from cucumbervision.measurement.result import Length
+from cucumbervision.fruit.mask_codes import encode_rle
+from cucumbervision.methods.result import Length
 from cucumbervision_greenhouse.exports.build import round_tables
 from cucumbervision_greenhouse.exports.fruit_pictures import draw_fruit
 from cucumbervision_greenhouse.store.records import (

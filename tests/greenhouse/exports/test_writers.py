@@ -18,11 +18,11 @@ import pytest
 from tests.greenhouse.exports.conftest import CONFIG, EVIL, MODEL, SITE, WALK
 from typer.testing import CliRunner
 
-from cucumbervision.agronomy.profiles import load_profile
+from cucumbervision.crop.profiles import load_profile
 from cucumbervision.cli.app import app
 from cucumbervision.errors import CucumberVisionError, DiskFullError
 from cucumbervision.files import defused
-from cucumbervision.pipeline.fields import Cell, Column
+from cucumbervision.run.fields import Cell, Column
 from cucumbervision_greenhouse.exports import ExportFormat
 from cucumbervision_greenhouse.exports.build import COLUMNS, RoundTables, round_tables
 from cucumbervision_greenhouse.exports.writers import SHEETS, render_sheet, write_exports

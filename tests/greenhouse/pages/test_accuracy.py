@@ -20,7 +20,7 @@ from tests.greenhouse.pages.app_pages import (
 from cucumbervision.calibration.calibration_file import read_site_calibration
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
-from cucumbervision.measurement.result import LengthDefinition
+from cucumbervision.methods.result import LengthDefinition
 from cucumbervision_greenhouse import resources, tasks
 from cucumbervision_greenhouse.pages.hand_lengths import hand_file, write_hand_lengths
 from cucumbervision_greenhouse.store.records import new_key

@@ -11,7 +11,7 @@ pytest.importorskip("streamlit")
 
 from tests.greenhouse.pages.app_pages import app, said, tables, tap
 
-from cucumbervision.agronomy.profiles import load_profile
+from cucumbervision.crop.profiles import load_profile
 from cucumbervision_greenhouse import resources
 from cucumbervision_greenhouse.language import gettext
 from cucumbervision_greenhouse.pages.crop_limits import CropLimits, save_own_profile

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from cucumbervision.agronomy.profiles import load_profile, profiles
+from cucumbervision.crop.profiles import load_profile, profiles
 from cucumbervision.errors import CucumberVisionError, NameRefusedError, ProfileError
 from cucumbervision_greenhouse.pages.crop_limits import (
     CropLimits,

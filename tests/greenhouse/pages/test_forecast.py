@@ -13,7 +13,7 @@ pytest.importorskip("streamlit")
 from tests.greenhouse.pages.app_pages import WALK, app, said, tables
 
 from cucumbervision_greenhouse import resources
-from cucumbervision_greenhouse.agronomy.forecast import Forecast
+from cucumbervision_greenhouse.forecast.forecast import Forecast
 from cucumbervision_greenhouse.pages import charts
 from cucumbervision_greenhouse.store.repository import open_store
 

@@ -9,7 +9,7 @@ pytest.importorskip("streamlit")
 
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision.instances.mask_codes import encode_rle
+from cucumbervision.fruit.mask_codes import encode_rle
 from cucumbervision_greenhouse.pages.fruit_cloud import point_cloud
 from cucumbervision_greenhouse.store.records import FruitRow
 

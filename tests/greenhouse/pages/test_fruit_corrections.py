@@ -15,8 +15,8 @@ import pytest
 pytest.importorskip("streamlit")
 
 from cucumbervision.capture.camera_file import CameraModel
-from cucumbervision.instances.mask_codes import decode_rle
-from cucumbervision.instances.masks import mask_iou
+from cucumbervision.fruit.mask_codes import decode_rle
+from cucumbervision.fruit.masks import mask_iou
 from cucumbervision_greenhouse.store.records import DetectionDetail, Verdict, key_of
 from cucumbervision_greenhouse.store.repository import open_store
 

@@ -10,7 +10,7 @@ from cucumbervision.accuracy.truth import read_truth
 from cucumbervision.calibration.site_calibration import calibrate_lengths
 from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import TruthError
-from cucumbervision.measurement.result import LengthDefinition
+from cucumbervision.methods.result import LengthDefinition
 from cucumbervision_greenhouse.pages.hand_lengths import (
     hand_file,
     hand_lengths,

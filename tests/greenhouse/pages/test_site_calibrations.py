@@ -14,8 +14,8 @@ from cucumbervision.calibration.site_calibration import calibrate_camera, calibr
 from cucumbervision.capture.readers.native import write_native
 from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import CalibrationError, NameRefusedError
-from cucumbervision.measurement.result import LengthDefinition
-from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision.methods.result import LengthDefinition
+from cucumbervision.run.options import MeasureOptions
 from cucumbervision_greenhouse.pages.hand_lengths import measured_round, write_hand_lengths
 from cucumbervision_greenhouse.pages.site_calibrations import (
     bias_words,

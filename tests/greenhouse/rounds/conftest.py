@@ -8,7 +8,7 @@ from typing import Protocol
 import pytest
 from tests.simulated_rows import Walk
 
-from cucumbervision.measurement.result import Length, LengthDefinition
+from cucumbervision.methods.result import Length, LengthDefinition
 from cucumbervision_greenhouse.store.records import (
     CaptureRecord,
     FruitRow,

@@ -11,8 +11,8 @@ import pytest
 from cucumbervision.capture.frames import Capture, Stop
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers.native import write_native
-from cucumbervision.measurement.result import MethodName
-from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision.methods.result import MethodName
+from cucumbervision.run.options import MeasureOptions
 from cucumbervision_greenhouse.rounds.adding import Added, add_captures
 from cucumbervision_greenhouse.rounds.from_store import read_round
 from cucumbervision_greenhouse.rounds.fruit_table import fruit_table
@@ -21,9 +21,9 @@ from cucumbervision_greenhouse.rounds.placing import Place
 from cucumbervision_greenhouse.rounds.poses import PoseLine
 from cucumbervision_greenhouse.store.records import key_of
 from cucumbervision_greenhouse.store.repository import Store
-from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
-from cucumbervision_lab.synthesis.depth_camera import D4xx, sense
-from cucumbervision_lab.synthesis.scene import Kind, Scene, render
+from cucumbervision_lab.scenes.bodies import arc_tube, rotation
+from cucumbervision_lab.scenes.depth_camera import D4xx, sense
+from cucumbervision_lab.scenes.scene import Kind, Scene, render
 
 CAMERA = Intrinsics(424, 240, 308.2, 308.1, 212.1, 119.8)
 MORNING = key_of("rounds", "morning")

@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from cucumbervision.measurement.result import Length
+from cucumbervision.methods.result import Length
 from cucumbervision_greenhouse.rounds.data_doubts import round_doubts
 from cucumbervision_greenhouse.store.records import (
     CaptureRecord,

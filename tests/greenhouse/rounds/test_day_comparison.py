@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from cucumbervision.measurement.result import Length, LengthDefinition, LengthKind
+from cucumbervision.methods.result import Length, LengthDefinition, LengthKind
 from cucumbervision_greenhouse.rounds.day_comparison import (
     Change,
     DayComparison,

@@ -8,7 +8,7 @@ import pytest
 from tests.greenhouse.rounds.conftest import MORNING
 
 from cucumbervision.errors import RoundError, StoreError
-from cucumbervision.measurement.result import Length, LengthDefinition, LengthKind
+from cucumbervision.methods.result import Length, LengthDefinition, LengthKind
 from cucumbervision_greenhouse.rounds.from_store import (
     StoredRow,
     by_hand_of,

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from cucumbervision.agronomy.profiles import load_profile
-from cucumbervision.measurement.result import Length
+from cucumbervision.crop.profiles import load_profile
+from cucumbervision.methods.result import Length
 from cucumbervision_greenhouse.rounds.forecasting import detection_rates, fruit_states
 from cucumbervision_greenhouse.rounds.from_store import read_round
 from cucumbervision_greenhouse.rounds.fruit_table import (

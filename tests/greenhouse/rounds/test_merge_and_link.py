@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from tests.simulated_rows import SimulatedRow, Walk, grow_plants, simulate_row, walk
 
-from cucumbervision.agronomy.grades import UNDECIDED, class_of
-from cucumbervision.agronomy.profiles import load_profile
+from cucumbervision.crop.grades import UNDECIDED, class_of
+from cucumbervision.crop.profiles import load_profile
 from cucumbervision.errors import RoundError
-from cucumbervision.measurement.result import Length, LengthDefinition
-from cucumbervision_greenhouse.agronomy.forecast import DetectionRates, Forecast, forecast
-from cucumbervision_greenhouse.agronomy.growth import GrowthPrior, fit_growth
-from cucumbervision_greenhouse.agronomy.picking import pick_list
+from cucumbervision.methods.result import Length, LengthDefinition
+from cucumbervision_greenhouse.forecast.forecast import DetectionRates, Forecast, forecast
+from cucumbervision_greenhouse.forecast.growth import GrowthPrior, fit_growth
+from cucumbervision_greenhouse.forecast.picking import pick_list
 from cucumbervision_greenhouse.rounds import forecasting
 from cucumbervision_greenhouse.rounds.forecasting import (
     forecast_today,

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from cucumbervision.capture.source import example_captures
-from cucumbervision.measurement.result import LengthDefinition, MethodName
-from cucumbervision.pipeline.measurer import CaptureResult, DetectedCapture, Measurer
-from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision.methods.result import LengthDefinition, MethodName
+from cucumbervision.run.measurer import CaptureResult, DetectedCapture, Measurer
+from cucumbervision.run.options import MeasureOptions
 from cucumbervision_greenhouse.rounds.adding import add_captures
 from cucumbervision_greenhouse.rounds.from_store import find_round
 from cucumbervision_greenhouse.rounds.remeasuring import measure_round_again

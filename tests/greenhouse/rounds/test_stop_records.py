@@ -12,13 +12,13 @@ from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.readers.native import write_native
 from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import CaptureError
-from cucumbervision.instances.instance import Instance
-from cucumbervision.instances.mask_codes import decode_rle
-from cucumbervision.measurement.flags import Flag
-from cucumbervision.measurement.result import Fruit, MethodName
-from cucumbervision.measurement.selector import measure_fruit
-from cucumbervision.pipeline.measurer import CaptureResult, Failure, Measurer
-from cucumbervision.pipeline.options import MeasureOptions
+from cucumbervision.fruit.instance import Instance
+from cucumbervision.fruit.mask_codes import decode_rle
+from cucumbervision.methods.flags import Flag
+from cucumbervision.methods.result import Fruit, MethodName
+from cucumbervision.methods.selector import measure_fruit
+from cucumbervision.run.measurer import CaptureResult, Failure, Measurer
+from cucumbervision.run.options import MeasureOptions
 from cucumbervision_greenhouse.rounds.stop_records import fruit_record, stop_record
 from cucumbervision_greenhouse.store.records import Round
 from cucumbervision_greenhouse.store.repository import Store, open_store

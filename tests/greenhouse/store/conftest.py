@@ -8,7 +8,7 @@ from typing import Any, Protocol
 import pytest
 from tests.greenhouse.store.throwaway_postgres import missing_reason, throwaway_cluster
 
-from cucumbervision.measurement.result import Length
+from cucumbervision.methods.result import Length
 from cucumbervision_greenhouse.store.records import (
     ArtifactRecord,
     CaptureRecord,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from cucumbervision.errors import StoreConflictError, StoreError
-from cucumbervision.measurement.result import Length
+from cucumbervision.methods.result import Length
 from cucumbervision_greenhouse.store.links import LinkKind, LinkRecord
 from cucumbervision_greenhouse.store.records import (
     DetectionFilter,

@@ -8,7 +8,7 @@ import pytest
 from sqlalchemy import inspect, text
 
 from cucumbervision.errors import StoreError, StoreVersionError
-from cucumbervision.measurement.result import Length
+from cucumbervision.methods.result import Length
 from cucumbervision_greenhouse.store.engine import (
     VERSION_TABLE,
     begin,

@@ -10,7 +10,7 @@ import pytest
 from sqlalchemy import insert, inspect, select, text
 
 from cucumbervision.errors import StoreError
-from cucumbervision.pipeline.fields import STORED_FIELDS
+from cucumbervision.run.fields import STORED_FIELDS
 from cucumbervision_greenhouse.store.engine import begin
 from cucumbervision_greenhouse.store.links import LinkKind
 from cucumbervision_greenhouse.store.records import FruitRow, Verdict, key_of

@@ -13,8 +13,8 @@ from cucumbervision_lab.benchmark.baselines import (
     available_baselines,
     skan_length,
 )
-from cucumbervision_lab.synthesis.bodies import Tube, arc_tube, rotation
-from cucumbervision_lab.synthesis.scene import Scene, render
+from cucumbervision_lab.scenes.bodies import Tube, arc_tube, rotation
+from cucumbervision_lab.scenes.scene import Scene, render
 
 CAMERA = Intrinsics(1280, 720, 900.0, 900.0, 640.0, 360.0)
 RADIUS_M = 0.018

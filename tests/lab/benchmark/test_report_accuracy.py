@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from cucumbervision.accuracy.table import Cell, ReportTable
-from cucumbervision.measurement.result import LengthDefinition
+from cucumbervision.methods.result import LengthDefinition
 from cucumbervision_lab.benchmark.measure_case import LengthRecord, readings_frame
 from cucumbervision_lab.benchmark.report import (
     accuracy_table,

@@ -9,10 +9,10 @@ import pandas as pd
 import pytest
 
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision.instances.instance import Instance
-from cucumbervision.instances.masks import box_of_mask
-from cucumbervision.measurement.intervals import shipped_interval_models
-from cucumbervision.measurement.result import LengthDefinition
+from cucumbervision.fruit.instance import Instance
+from cucumbervision.fruit.masks import box_of_mask
+from cucumbervision.methods.intervals import shipped_interval_models
+from cucumbervision.methods.result import LengthDefinition
 from cucumbervision_lab.benchmark.cases import (
     Suite,
     paper_cases,

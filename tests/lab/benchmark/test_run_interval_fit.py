@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cucumbervision.measurement.intervals import Band, IntervalModel, Trees
+from cucumbervision.methods.intervals import Band, IntervalModel, Trees
 from cucumbervision_lab.benchmark.run import (
     conformal_quantile,
     fit_interval_model,

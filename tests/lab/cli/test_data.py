@@ -10,7 +10,7 @@ from typer.testing import CliRunner, Result
 from cucumbervision.capture.pictures import write_png
 from cucumbervision.errors import DataSetError
 from cucumbervision_lab.cli.data import app
-from cucumbervision_lab.datasets.coco import read_coco
+from cucumbervision_lab.data.coco import read_coco
 
 NAMES = "cucumber,zucchini,banana,eggplant,carrot"
 

@@ -3,7 +3,7 @@ from pathlib import Path
 from typer.testing import CliRunner
 
 from cucumbervision.cli.app import app
-from cucumbervision_lab.datasets.coco import read_coco
+from cucumbervision_lab.data.coco import read_coco
 
 
 def test_it_draws_a_set_and_says_what_is_in_it(tmp_path: Path) -> None:

@@ -13,10 +13,10 @@ from cucumbervision.capture.pictures import write_png
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import TrainingError
-from cucumbervision.perception.networks import NetworkLoader
+from cucumbervision.networks.networks import NetworkLoader
 from cucumbervision_lab.cli.train import app
-from cucumbervision_lab.datasets.coco import write_coco
-from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
+from cucumbervision_lab.data.coco import write_coco
+from cucumbervision_lab.data.labels import DataSet, Label, LabelledPicture
 
 needs_extra = pytest.mark.skipif(
     importlib.util.find_spec("ultralytics") is None, reason="needs the extra 'train'"

@@ -13,7 +13,7 @@ from cucumbervision_lab.detection.outcomes import match_boxes
 
 pytest.importorskip("pycocotools")
 
-from cucumbervision.instances.instance import Instance
+from cucumbervision.fruit.instance import Instance
 from cucumbervision_lab.detection.outcomes import (
     detection_rows,
     end_rows,

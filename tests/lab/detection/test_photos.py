@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 pytest.importorskip("pycocotools")
 
 from cucumbervision.capture.pictures import write_png
-from cucumbervision.instances.instance import Instance
+from cucumbervision.fruit.instance import Instance
 from cucumbervision_lab.detection.outcomes import end_rows
 from cucumbervision_lab.detection.photos import (
     Photo,

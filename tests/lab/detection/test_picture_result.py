@@ -8,12 +8,12 @@ from numpy.typing import NDArray
 
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
-from cucumbervision.instances.instance import Instance
-from cucumbervision.instances.masks import box_of_mask
-from cucumbervision.perception.detectors import Detectors
-from cucumbervision.perception.networks import NetworkLoader
-from cucumbervision.perception.registry import load_registry
-from cucumbervision.perception.yolo import YoloDetector
+from cucumbervision.fruit.instance import Instance
+from cucumbervision.fruit.masks import box_of_mask
+from cucumbervision.networks.detectors import Detectors
+from cucumbervision.networks.networks import NetworkLoader
+from cucumbervision.networks.registry import load_registry
+from cucumbervision.networks.yolo import YoloDetector
 from cucumbervision_lab.detection.picture_result import (
     Networks,
     detect_picture,

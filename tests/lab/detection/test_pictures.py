@@ -9,8 +9,8 @@ import pytest
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.pictures import write_png
 from cucumbervision.errors import DataSetError
-from cucumbervision_lab.datasets.coco import write_coco
-from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
+from cucumbervision_lab.data.coco import write_coco
+from cucumbervision_lab.data.labels import DataSet, Label, LabelledPicture
 from cucumbervision_lab.detection.pictures import capture_of, frame_of, read_held_out
 
 BOX = np.array([9.5, 9.5, 29.5, 19.5])

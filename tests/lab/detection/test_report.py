@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from cucumbervision.measurement.pose import FruitPose
+from cucumbervision.methods.pose import FruitPose
 from cucumbervision_lab.benchmark.measure_case import Masks
 from cucumbervision_lab.detection.report import pose_table
 from cucumbervision_lab.detection.run import pose_errors

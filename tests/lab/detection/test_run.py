@@ -24,17 +24,17 @@ from cucumbervision.accuracy.table import Cell
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.pictures import write_png
 from cucumbervision.cli.app import app
-from cucumbervision.instances.masks import box_of_mask
+from cucumbervision.fruit.masks import box_of_mask
 from cucumbervision_lab.benchmark.measure_case import Masks
-from cucumbervision_lab.datasets.coco import write_coco
-from cucumbervision_lab.datasets.labels import DataSet, Label, LabelledPicture
+from cucumbervision_lab.data.coco import write_coco
+from cucumbervision_lab.data.labels import DataSet, Label, LabelledPicture
 from cucumbervision_lab.detection import photos
 from cucumbervision_lab.detection.outcomes import end_rows
 from cucumbervision_lab.detection.pictures import Stage
 from cucumbervision_lab.detection.report import detection_tables
 from cucumbervision_lab.detection.run import DetectionResult, evaluate_detection
-from cucumbervision_lab.synthesis.bodies import arc_tube, rotation
-from cucumbervision_lab.synthesis.scene import Scene, render
+from cucumbervision_lab.scenes.bodies import arc_tube, rotation
+from cucumbervision_lab.scenes.scene import Scene, render
 
 CAMERA = Intrinsics(320, 192, 300.0, 300.0, 160.0, 96.0)
 DEPTH_M = 0.4

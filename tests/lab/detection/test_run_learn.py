@@ -12,13 +12,13 @@ from typer.testing import CliRunner
 
 from cucumbervision.capture.frames import Capture
 from cucumbervision.cli.app import app
-from cucumbervision.instances.instance import Instance, MaskSource
+from cucumbervision.fruit.instance import Instance, MaskSource
 from cucumbervision_lab.benchmark.measure_case import Masks, read_records
 from cucumbervision_lab.detection import run
 from cucumbervision_lab.detection.pictures import frame_of
 from cucumbervision_lab.detection.run import set_records
-from cucumbervision_lab.synthesis.frame import FrameOptions
-from cucumbervision_lab.synthesis.generate import SynthOptions, generate
+from cucumbervision_lab.scenes.frame import FrameOptions
+from cucumbervision_lab.scenes.generate import SynthOptions, generate
 
 
 class TruthFinder:

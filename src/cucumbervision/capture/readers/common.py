@@ -12,7 +12,7 @@ from cucumbervision.capture.depth_direction import depth_along_axis
 from cucumbervision.capture.frames import Capture, Doubt
 from cucumbervision.capture.intrinsics import Intrinsics, Stream, check_intrinsics
 from cucumbervision.errors import CaptureError, IntrinsicsError, wrap_reader_errors
-from cucumbervision.geometry.camera import align_depth_to_color
+from cucumbervision.tube.camera import align_depth_to_color
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import sqlalchemy as sa
 from alembic import op
 
-from cucumbervision.pipeline.options import GRAVITY_BY_EDGE
+from cucumbervision.run.options import GRAVITY_BY_EDGE
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

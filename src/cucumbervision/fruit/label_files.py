@@ -1,0 +1,474 @@
+"""Read COCO and YOLO labels: one typed result for `--instances` and for data sets.
+
+Both formats measure from the picture's corner, `Instance` from the first pixel's centre; half a
+pixel is subtracted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+
+from cucumbervision.errors import CucumberVisionError, InstancesError, wrap_reader_errors
+from cucumbervision.files import read_json, read_text
+from cucumbervision.fruit.instance import Instance, MaskSource
+from cucumbervision.fruit.mask_codes import mask_of_segmentation, polygon_points
+from cucumbervision.fruit.masks import box_of_mask
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+
+_T = TypeVar("_T")
+_KEYPOINTS = 5
+_SLACK = 1e-6  # tolerance outside 0 to 1 for rounded numbers
+_CLIP_SLACK_PX = 0.01  # tolerance for rounded boxes
+_RIGHT_ANGLE = 0.05  # largest cosine of a rectangle's corner
+# Keypoints run through their box from end to end; the points of an outline return, and do not lie
+# about the first of them.
+_NO_KEYPOINTS = 0, 0
+_IN_BOX, _SPANS_BOX, _ALONG, _OFF_CENTRE = 0.55, 0.7, 0.85, 0.15
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LabelledInstance:
+    """One instance as written in a file.
+
+    Parameters
+    ----------
+    where : str
+        Place in the file, for errors: 'annotation 7', 'line 3'.
+    class_name : str
+        Class name.
+    confidence : float
+        Confidence, 0 to 1.
+    box : ndarray, shape (4,), optional
+        x1, y1, x2, y2 from the picture's corner.
+    polygons : tuple of ndarray, shape (K, 2)
+        Outlines, from the picture's corner.
+    rle : mapping, optional
+        COCO run lengths: counts and size.
+    keypoints : ndarray, shape (5, 3), optional
+        x, y from the picture's corner and visibility 0 to 1.
+    normalised : bool
+        True where x and y are shares of the picture's width and height.
+    is_crowd : bool
+        True for a region of several fruit.
+    entry : mapping
+        The entry as it stands in a COCO file; `kpt_shape` of keypoints without visibility in YOLO.
+    """
+
+    where: str
+    class_name: str
+    confidence: float = 1.0
+    box: Array | None = None
+    polygons: tuple[Array, ...] = ()
+    rle: Mapping[str, Any] | None = None
+    keypoints: Array | None = None
+    normalised: bool = False
+    is_crowd: bool = False
+    entry: Mapping[str, Any] = field(default_factory=dict)
+
+    def in_picture(self, width: int, height: int) -> tuple[Instance, bool]:
+        """Return the instance in a picture of this size, and whether its box was clipped to it.
+
+        An outline that is the four corners of a rectangle is a box without a mask.
+
+        Raises
+        ------
+        ValueError, KeyError, TypeError, OverflowError
+            If box or mask do not fit the picture, or the confidence is outside 0 to 1.
+        """
+        scale = np.array([width, height] if self.normalised else [1, 1], np.float64)
+        polygons = [points * scale for points in self.polygons]
+        corners = np.concatenate(polygons) if polygons else np.zeros((1, 2))
+        box, mask = self.box, None
+        if len(polygons) == 1 and is_rectangle(polygons[0]):  # an oriented box is no outline
+            box = np.concatenate([corners.min(axis=0), corners.max(axis=0)]) / np.tile(scale, 2)
+        elif self.rle or polygons:
+            shape = self.rle or [points.ravel() for points in polygons]
+            mask = mask_of_segmentation(shape, height, width)
+        if box is not None:
+            edges, clipped = _clip(box * np.tile(scale, 2), width, height)
+        elif mask is not None:
+            edges, clipped = box_of_mask(mask), bool(_outside(corners, width, height).any())
+        else:
+            raise ValueError("has neither box nor mask")
+        keypoints = None
+        if self.keypoints is not None:
+            keypoints = self.keypoints.copy()
+            keypoints[:, :2] = keypoints[:, :2] * scale - 0.5
+        if not 0 <= self.confidence <= 1:
+            raise ValueError(f"has the confidence {self.confidence:g}, outside 0 to 1")
+        return Instance(
+            box=edges,
+            confidence=self.confidence,
+            class_name=self.class_name,
+            mask=mask,
+            mask_source=None if mask is None else MaskSource.DATASET,
+            keypoints=keypoints,
+        ), clipped
+
+
+@dataclass(frozen=True, eq=False)
+class LabelledImage:
+    """A file's entries for one picture.
+
+    Parameters
+    ----------
+    name : str
+        File name, or '' where the file gives only a number.
+    number : int, optional
+        COCO's image id.
+    size_px : tuple of int, optional
+        Width and height, where the file gives them.
+    records : list of LabelledInstance or InstancesError
+        Its instances, or the error of each unreadable one.
+    entry : mapping
+        The image as it stands in a COCO file.
+    """
+
+    name: str
+    number: int | None
+    size_px: tuple[int, int] | None
+    records: list[LabelledInstance | InstancesError] = field(default_factory=list)
+    entry: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class LabelFile:
+    """Contents of a label file.
+
+    Parameters
+    ----------
+    pictures : list of LabelledImage
+        Its pictures.
+    class_names : list of str
+        Its classes, without groups of classes.
+    refused : list of InstancesError
+        Errors of unreadable pictures.
+    """
+
+    pictures: list[LabelledImage]
+    class_names: list[str]
+    refused: list[InstancesError]
+
+
+def read_labels(path: Path) -> list[LabelledImage]:
+    """Read COCO JSON, a YOLO txt file, or a folder of YOLO txt files named as their pictures.
+
+    Parameters
+    ----------
+    path : Path
+        As for `instance_files.read_instances`.
+
+    Raises
+    ------
+    InstancesError
+        If there is no such file, it is none of these, or one of its pictures cannot be read.
+    """
+    if path.is_dir():
+        for place in (path, path / "labels"):
+            if files := sorted(f for f in place.glob("*.txt") if f.name != "classes.txt"):
+                names = _yolo_classes(place) or _yolo_classes(path)
+                return _read_yolo(files, names)
+        raise InstancesError("holds no label files", source=path, remedy="give YOLO txt files")
+    if not path.is_file():
+        raise InstancesError("there is no such file", source=path, remedy="check the path")
+    if path.suffix.lower() == ".json":
+        labels = parse_coco(read_json(path, InstancesError), path)
+        if labels.refused:
+            raise labels.refused[0]
+        return labels.pictures
+    if path.suffix.lower() == ".txt":
+        return _read_yolo([path], _yolo_classes(path.parent))
+    raise InstancesError("unknown kind of file", source=path, remedy="give COCO JSON or YOLO txt")
+
+
+def parse_coco(data: Any, path: Path) -> LabelFile:
+    """Parse COCO annotations (a dict of images and annotations) or results (a list).
+
+    Raises
+    ------
+    InstancesError
+        If it is neither of the two.
+    """
+    is_annotated = isinstance(data, dict)
+    items, images = (
+        (data.get("annotations"), data.get("images", [])) if is_annotated else (data, [])
+    )
+    if not isinstance(items, list) or not isinstance(images, list):
+        raise InstancesError("has no annotations", source=path, remedy="give COCO JSON")
+    with wrap_reader_errors(path, InstancesError, "give COCO JSON"):
+        categories = [c for c in data.get("categories", ()) if "id" in c] if is_annotated else []
+        names = {c["id"]: str(c.get("name", c["id"])) for c in categories}
+        used = {item.get("category_id") for item in items if isinstance(item, dict)}
+        groups = {c.get("supercategory") for c in categories} if len(names) > 1 else set()
+        ids = [i for i in sorted(names, key=int) if names[i] not in groups or i in used]
+    pictures: dict[str, LabelledImage] = {}
+    refused: list[InstancesError] = []
+    for i, image in enumerate(images):
+        place = f"image {image.get('id', i) if isinstance(image, dict) else i}"
+        picture = entry_or_error(place, path, _coco_image, image)
+        if isinstance(picture, InstancesError):
+            refused.append(picture)
+        else:
+            pictures[str(image["id"])] = picture
+    for i, item in enumerate(items):
+        where = f"annotation {item.get('id', i) if isinstance(item, dict) else i}"
+        if not isinstance(item, dict) or not {"image_id", "file_name"} & set(item):
+            fault = f"{where} names no picture"
+            refused.append(InstancesError(fault, source=path, remedy="give COCO JSON"))
+            continue
+        name = str(item.get("file_name", ""))
+        key, number = str(item.get("image_id", name)), _number(item.get("image_id"))
+        picture = pictures.setdefault(key, LabelledImage(name, number, None))
+        record = entry_or_error(where, path, _coco_record, item, where, names, is_annotated)
+        picture.records.append(record)
+    return LabelFile(list(pictures.values()), list(dict.fromkeys(names[i] for i in ids)), refused)
+
+
+def _coco_image(image: Any) -> LabelledImage:
+    size = None
+    if {"width", "height"} <= set(image):  # some tools write them as text
+        size = int(float(image["width"])), int(float(image["height"]))
+    number = _number(image["id"])
+    return LabelledImage(str(image.get("file_name", "")), number, size, entry=image)
+
+
+def _number(value: Any) -> int | None:
+    return int(value) if isinstance(value, int) or str(value).isdecimal() else None
+
+
+def _coco_record(
+    item: Mapping[str, Any], where: str, names: Mapping[Any, str], is_annotated: bool
+) -> LabelledInstance:
+    box = None
+    if item.get("bbox"):
+        x, y, w, h = _finite(item["bbox"])
+        box = np.array([x, y, x + w, y + h])
+    shape = item.get("segmentation") or []
+    polygons = () if isinstance(shape, dict) else tuple(polygon_points(p) for p in shape)
+    if box is None and not shape:
+        raise ValueError("has neither box nor mask")
+    keypoints = None
+    if item.get("keypoints"):
+        keypoints = _keypoints(_finite(item["keypoints"]), 2.0 if is_annotated else 1.0)
+    category = item.get("category_id", 0)
+    return LabelledInstance(
+        where=where,
+        class_name=names.get(category, str(category)),
+        confidence=float(_finite([item.get("score", 1.0)])[0]),
+        box=box,
+        polygons=polygons,
+        rle=shape if isinstance(shape, dict) else None,
+        keypoints=keypoints,
+        is_crowd=bool(item.get("iscrowd")),
+        entry=item,
+    )
+
+
+def _yolo_classes(folder: Path) -> list[str]:
+    """Read the class names from `classes.txt` beside the labels; empty without one."""
+    path = folder / "classes.txt"
+    return read_text(path, InstancesError).split("\n") if path.is_file() else []
+
+
+def _read_yolo(files: Sequence[Path], names: Sequence[str]) -> list[LabelledImage]:
+    pictures = [read_yolo_file(file, names) for file in files]
+    records = [r for p in pictures for r in p.records if isinstance(r, LabelledInstance)]
+    # Of few points, one outline in some hundred looks like keypoints without visibility.
+    if any(r.polygons for r in records) and any(r.entry for r in records):
+        pictures = [read_yolo_file(file, names, _NO_KEYPOINTS) for file in files]
+    return pictures
+
+
+def read_yolo_file(
+    path: Path, names: Sequence[str], kpt_shape: tuple[int, int] | None = None
+) -> LabelledImage:
+    """Read the labels of one picture; the parameters are those of `parse_yolo_line`.
+
+    Raises
+    ------
+    InstancesError
+        If the file is missing or is no text.
+    """
+    lines = read_text(path, InstancesError).split("\n")
+    records = [
+        entry_or_error(f"line {i}", path, parse_yolo_line, line, f"line {i}", names, kpt_shape)
+        for i, line in enumerate(lines, 1)
+        if line.strip()
+    ]
+    return LabelledImage(path.name, None, None, records)
+
+
+def parse_yolo_line(
+    line: str, where: str, names: Sequence[str], kpt_shape: tuple[int, int] | None = None
+) -> LabelledInstance:
+    """Read one line of a YOLO label file.
+
+    Parameters
+    ----------
+    line : str
+        'class cx cy w h', a polygon 'class x1 y1 x2 y2 x3 y3 ...', or a box with keypoints of two
+        or three numbers 'class cx cy w h x y v ...', of which five are read; a confidence may
+        follow. Coordinates are shares of the picture.
+    where : str
+        Place in the file, for errors.
+    names : sequence of str
+        Class names; the class number replaces a missing one.
+    kpt_shape : tuple of int, optional
+        Number of keypoints and of numbers a keypoint, (0, 0) for none, where the data set says it.
+
+    Returns
+    -------
+    LabelledInstance
+
+    Raises
+    ------
+    ValueError
+        If a number is missing, not finite or outside 0 to 1.
+
+    Examples
+    --------
+    >>> parse_yolo_line("0 0.5 0.5 0.2 0.4", "line 1", ["cucumber"]).box.round(2).tolist()
+    [0.4, 0.3, 0.6, 0.7]
+    """
+    values = _finite(line.split())
+    if len(values) < 5 or values[0] < 0 or values[0] % 1:
+        raise ValueError("is neither box nor polygon")
+    number, shares, confidence = int(values[0]), values[1:], 1.0
+    if kpt_shape and kpt_shape[0] and len(shares) != 4 + kpt_shape[0] * kpt_shape[1]:
+        wanted = 5 + kpt_shape[0] * kpt_shape[1]
+        fault = f"has {len(values)} values, expected {wanted} (box, {kpt_shape[0]} keypoints)"
+        raise ValueError(fault)
+    per_point = kpt_shape[1] if kpt_shape else _numbers_a_point(shares)
+    if (len(shares) - 4) % (per_point or 2):
+        shares, confidence = shares[:-1], float(shares[-1])
+    keypoints, points = None, shares[4:].reshape(-1, per_point or 2)
+    if per_point:
+        shares = np.concatenate([shares[:4], points[:, :2].ravel()])
+        seen = points[:, 2] if per_point == 3 else np.full(len(points), 2.0)
+        if len(points) == _KEYPOINTS:
+            keypoints = _keypoints(np.column_stack([points[:, :2], seen]).ravel(), 2.0)
+    if (shares < -_SLACK).any() or (shares > 1 + _SLACK).any():
+        raise ValueError("has numbers outside 0 to 1, which must be shares of width and height")
+    box: Array | None = None
+    polygons: tuple[Array, ...] = ()
+    if per_point or len(shares) == 4:
+        box = np.concatenate([shares[:2] - shares[2:4] / 2, shares[:2] + shares[2:4] / 2])
+    else:
+        polygons = (polygon_points(shares),)
+    return LabelledInstance(
+        where=where,
+        class_name=names[number].strip() if number < len(names) else str(number),
+        confidence=confidence,
+        box=box,
+        polygons=polygons,
+        keypoints=keypoints,
+        normalised=True,
+        entry={"kpt_shape": (len(points), 2)} if per_point == 2 else {},
+    )
+
+
+def _numbers_a_point(shares: Array) -> int:
+    """Return 3 or 2 for a box and its keypoints with or without visibility, 0 for other labels."""
+    box = shares[:4]
+    for end in (len(shares), len(shares) - 1):  # a confidence may follow
+        numbers = shares[4:end]
+        if len(numbers) >= 6 and len(numbers) % 3 == 0:
+            points = numbers.reshape(-1, 3)
+            seen = points[points[:, 2] > 0, :2]
+            is_seen = np.isin(points[:, 2], (0, 1, 2)).all()
+            if is_seen and (len(points) == _KEYPOINTS or _spans(box, seen)):
+                return 3
+        if len(numbers) >= 4 and len(numbers) % 2 == 0 and _spans(box, numbers.reshape(-1, 2)):
+            return 2
+    return 0
+
+
+def _spans(box: Array, points: Array) -> bool:
+    """Return whether points run through a box, given by centre and size, over most of it."""
+    if not len(points) or not (box[2:] > 0).all():
+        return False
+    inside = (np.abs(points - box[:2]) <= _IN_BOX * box[2:]).all()
+    path = np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
+    along = np.linalg.norm(points[-1] - points[0]) >= _ALONG * path
+    middle = np.abs((points.min(axis=0) + points.max(axis=0)) / 2 - box[:2]) / box[2:]
+    centred = (middle <= _OFF_CENTRE).all()
+    return bool(
+        inside and along and centred and (np.ptp(points, axis=0) / box[2:]).max() >= _SPANS_BOX
+    )
+
+
+def _finite(values: Any) -> Array:
+    numbers = np.array(values, np.float64)
+    if numbers.ndim != 1 or not np.isfinite(numbers).all():
+        raise ValueError("has a number that is not finite")
+    return numbers
+
+
+def _keypoints(values: Array, visible: float) -> Array:
+    """Return five keypoints; COCO writes visibility as 0, 1 (hidden) or 2 (visible)."""
+    if len(values) != 3 * _KEYPOINTS:
+        raise ValueError(f"has {len(values)} keypoint numbers, not {3 * _KEYPOINTS}")
+    points = values.reshape(_KEYPOINTS, 3).copy()
+    points[:, 2] = np.clip(points[:, 2] / visible, 0.0, 1.0)
+    return points
+
+
+def is_rectangle(points: Array) -> bool:
+    """Return whether a polygon is the four corners of a rectangle, which box tools write.
+
+    Examples
+    --------
+    >>> is_rectangle(np.array([[0.0, 0], [6, 2], [5, 5], [-1, 3], [0, 0]]))
+    True
+    >>> is_rectangle(np.array([[0.0, 0], [6, 0], [7, 2], [6, 4], [0, 4]]))
+    False
+    """
+    corners = points[:-1] if len(points) == 5 and np.allclose(points[0], points[-1]) else points
+    if len(corners) != 4:
+        return False
+    sides = np.roll(corners, -1, axis=0) - corners
+    lengths = np.linalg.norm(sides, axis=1)
+    if not (lengths > 0).all():
+        return False
+    cosines = (sides * np.roll(sides, -1, axis=0)).sum(axis=1) / (lengths * np.roll(lengths, -1))
+    return bool((np.abs(cosines) < _RIGHT_ANGLE).all())
+
+
+def _clip(box: Array, width: int, height: int) -> tuple[Array, bool]:
+    """Clip a corner-based box to the picture; return it from the first pixel's centre."""
+    if box[2] <= box[0] or box[3] <= box[1]:
+        raise ValueError("its box has no area")
+    corner, opposite = np.maximum(box[:2], 0), np.minimum(box[2:], (width, height))
+    if (opposite <= corner).any():
+        raise ValueError(f"its box lies outside the picture of {width}x{height}")
+    clipped = bool(_outside(box.reshape(2, 2), width, height).any())
+    return np.concatenate([corner, opposite]) - 0.5, clipped
+
+
+def _outside(points: Array, width: int, height: int) -> NDArray[np.bool_]:
+    return (points < -_CLIP_SLACK_PX) | (points > np.array([width, height]) + _CLIP_SLACK_PX)
+
+
+def entry_or_error(
+    where: str, source: object, read: Callable[..., _T], *arguments: Any
+) -> _T | InstancesError:
+    """Return the parsed entry, or its error."""
+    try:
+        return read(*arguments)
+    except CucumberVisionError as error:
+        fault = str(error.message)
+    except KeyError as error:
+        fault = f"key {error} is missing"
+    except (AttributeError, TypeError, ValueError, OverflowError) as error:
+        fault = str(error)
+    return InstancesError(f"{where}: {fault}", source=source, remedy="correct it")

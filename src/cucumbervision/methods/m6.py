@@ -1,0 +1,546 @@
+"""M6, the swept tube: this project's own method."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cucumbervision.capture.frames import valid_depth
+from cucumbervision.tube.pixels import depth_across, median_of, outline_cracks
+from cucumbervision.tube.tube import TubeShape, with_tips
+from cucumbervision.tube.tube_evidence import Evidence, end_overhangs, gaps
+from cucumbervision.tube.tube_fit import TubeFitting, fit_shape
+from cucumbervision.tube.tube_guess import (
+    guess_from_midline,
+    guess_from_picture,
+    guess_shape,
+    near_depths,
+)
+from cucumbervision.fruit.masks import distances_inside, mask_window
+from cucumbervision.methods.depth_doubts import LEAST_FILL
+from cucumbervision.methods.flags import Flag
+from cucumbervision.methods.hidden_end import (
+    DRAWN_KINDS,
+    BeyondEnd,
+    beyond_ends,
+    depth_noise,
+    edge_error,
+    noise_waves,
+    with_hidden_end,
+)
+from cucumbervision.methods.methods import Region, TableMethod
+from cucumbervision.methods.result import LengthKind, Measurement, MethodName, Reason, TubeFit
+from cucumbervision.methods.traits import TubeTraits, tube_traits
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from cucumbervision.capture.intrinsics import Intrinsics
+
+_DEPTH_POINTS = 500
+
+_OUTLINE_POINTS = 800
+
+_GRID_POINTS = 800
+
+_MARGIN_PX = 8
+
+_RIM_PX = 3  # depth this near the outline mixes the fruit with what lies behind
+
+_MIN_PIECE = 0.02  # smaller pieces, relative to the mask, are specks
+
+_QUANTUM_M = 0.001
+
+# Stereo noise and outline errors are correlated: pixels that count as one independent reading.
+_POINT_AREA_PX = 100.0
+
+_OUTLINE_RUN_PX = 6.0
+
+_CRACKS_A_PIXEL = 4 / np.pi  # cracks per pixel of outline, averaged over directions
+
+_NEARER_M, _NEARER_SD = 0.003, 2.0  # depth step across the outline that indicates an occluder
+
+
+@dataclass(frozen=True, eq=False)
+class TubeView:
+    """The depth and outline of one fruit in one view, for fitting a tube.
+
+    Parameters
+    ----------
+    evidence : Evidence
+        Depth points away from the outline, and rays through the fruit's own outline, without parts
+        at occluders and at the edge of the picture.
+    grid_rays : ndarray of float64, shape (G, 3)
+        Unit directions of a coarse grid over the fruit's window.
+    grid_mask : ndarray of bool, shape (G,)
+        Whether each of them belongs to the mask.
+    grid_depth_m : ndarray of float64, shape (G,)
+        Depth along each of them; 0 for no reading.
+    fill : float
+        Share of the mask's pixels with a depth reading.
+    focal_px : float
+        Focal length, pixels.
+    """
+
+    evidence: Evidence
+    grid_rays: NDArray[np.float64]
+    grid_mask: NDArray[np.bool_]
+    grid_depth_m: NDArray[np.float64]
+    fill: float
+    focal_px: float
+
+    @property
+    def sparse(self) -> bool:
+        """Whether most of the mask has no depth."""
+        return self.fill < LEAST_FILL
+
+    @property
+    def surface_m(self) -> NDArray[np.float64]:
+        """Initial points over the whole mask; missing depth is filled by a plane.
+
+        Shape (K, 3), camera coordinates, metres.
+        """
+        bare = self.grid_rays[self.grid_mask & (self.grid_depth_m <= 0)]
+        points = self.evidence.points_m
+        if not len(bare):
+            return points
+        # A plane in space is linear in the inverse depth over the picture.
+        readings = points[near_depths(points)]
+        terms = np.column_stack([readings[:, :2] / readings[:, 2:], np.ones(len(readings))])
+        plane = np.linalg.lstsq(terms, 1 / readings[:, 2], rcond=None)[0]
+        inverse = (bare / bare[:, 2:])[:, [0, 1]] @ plane[:2] + plane[2]
+        middle = 1 / float(np.median(readings[:, 2]))
+        filled = bare / bare[:, 2:] / np.clip(inverse, 0.5 * middle, 2.0 * middle)[:, None]
+        return np.vstack([points, filled])
+
+
+def view_tube(
+    depth_m: NDArray[np.float32], mask: NDArray[np.bool_], intrinsics: Intrinsics
+) -> TubeView | None:
+    """Gather a fruit's depth points and outline.
+
+    Parameters
+    ----------
+    depth_m : ndarray of float32, shape (H, W)
+        Metres, aligned to colour.
+    mask : ndarray of bool, shape (H, W)
+        The fruit's pixels; pieces smaller than 2 % are ignored.
+    intrinsics : Intrinsics
+        The colour stream's.
+
+    Returns
+    -------
+    TubeView or None
+        None for an empty mask.
+    """
+    window = mask_window(mask, _MARGIN_PX)
+    if window is None:
+        return None
+    part, z = _without_specks(mask[window]), depth_m[window]
+    z = np.where(valid_depth(z), z, np.float32(0))
+    lens = _Lens(intrinsics, window[1].start, window[0].start)
+    points, pixels, points_share = _points(z, part, lens)
+    depths_m = points[:, 2]
+    noise = depth_noise(depths_m, intrinsics.fx_px)
+    noise = np.hypot(noise, edge_error(_from_rim(part, pixels)))
+    waves = noise_waves(pixels, depths_m, intrinsics.fx_px)
+    rays, rays_share = _rays(z, part, lens)
+    step = max(1, int(np.sqrt(part.size / _GRID_POINTS)))
+    v, u = (m.ravel() * step for m in np.indices(part[::step, ::step].shape))
+    evidence = Evidence(
+        points_m=points,
+        points_sd_m=np.hypot(noise, _QUANTUM_M / np.sqrt(12)),
+        rays=rays,
+        rays_sd_rad=_OUTLINE_SD_PX / intrinsics.fx_px,
+        pixel_rad=1 / intrinsics.fx_px,
+        points_share=points_share,
+        rays_share=rays_share,
+        waves_m=waves,
+    )
+    return TubeView(
+        evidence=evidence,
+        grid_rays=lens.rays(u, v),
+        grid_mask=part[v, u],
+        grid_depth_m=z[v, u].astype(np.float64),
+        fill=float((z[part] > 0).mean()),
+        focal_px=intrinsics.fx_px,
+    )
+
+
+@dataclass(frozen=True)
+class _Lens:
+    """Intrinsics relative to the corner of a window."""
+
+    intrinsics: Intrinsics
+    left_px: int
+    top_px: int
+
+    def rays(self, u: NDArray[Any], v: NDArray[Any]) -> NDArray[np.float64]:
+        x, y = self.intrinsics.rays(u + self.left_px, v + self.top_px)
+        lengths = np.sqrt(x * x + y * y + 1)
+        return np.stack([x / lengths, y / lengths, 1 / lengths], axis=1)
+
+
+def _from_rim(part: NDArray[np.bool_], pixels: NDArray[np.intp]) -> NDArray[np.float32]:
+    # The edge of the picture is not an outline.
+    return distances_inside(np.pad(part, 1, mode="edge"), pixels + 1)
+
+
+def _without_specks(part: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    import cv2
+
+    outlines = cv2.findContours(part.view(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
+    if len(outlines) < 2:  # in a tenth of the time of labelling
+        return part
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(part.view(np.uint8), connectivity=8)
+    if count <= 2:
+        return part
+    areas = np.asarray(stats)[:, cv2.CC_STAT_AREA]
+    is_piece = areas >= min(_MIN_PIECE * areas[1:].sum(), areas[1:].max())
+    is_piece[0] = False
+    return np.asarray(is_piece[np.asarray(labels)])
+
+
+def _points(
+    z: NDArray[np.float32], part: NDArray[np.bool_], lens: _Lens
+) -> tuple[NDArray[np.float64], NDArray[np.intp], float]:
+    import cv2
+
+    size = 2 * _RIM_PX + 1
+    # The edge of the picture is not an outline: pixels there are not eroded.
+    kernel = np.ones((size, size), np.uint8)
+    core = (cv2.erode(part.astype(np.uint8), kernel, borderValue=1) > 0) & (z > 0)
+    area = int(np.count_nonzero(core))
+    step = max(1, int(np.sqrt(area / _DEPTH_POINTS)))
+    v, u = np.nonzero(core[::step, ::step])
+    sample = np.linspace(0, len(u) - 1, min(len(u), _DEPTH_POINTS)).astype(np.intp)
+    u, v = u[sample] * step, v[sample] * step
+    rays = lens.rays(u, v)
+    points = rays * (z[v, u] / rays[:, 2])[:, None]
+    return points, np.stack([u, v], axis=1), min(1.0, area / _POINT_AREA_PX / max(len(points), 1))
+
+
+def _rays(
+    z: NDArray[np.float32], part: NDArray[np.bool_], lens: _Lens
+) -> tuple[NDArray[np.float64], float]:
+    points, outward = outline_cracks(part)
+    inside, outside = depth_across(z, points, -outward), depth_across(z, points, outward)
+    noise = depth_noise(np.nan_to_num(inside), lens.intrinsics.fx_px)
+    # Comparisons with NaN are False: without readings on both sides, no occluder is assumed.
+    outline = points[~(outside < inside - _NEARER_M - _NEARER_SD * noise)]
+    long_px = len(outline) / _CRACKS_A_PIXEL
+    sample = np.linspace(0, len(outline) - 1, min(len(outline), _OUTLINE_POINTS)).astype(np.intp)
+    rays = lens.rays(outline[sample, 0], outline[sample, 1])
+    return rays, min(1.0, long_px / _OUTLINE_RUN_PX / max(len(rays), 1))
+
+
+_MIN_POINTS = 30
+_MIN_RAYS = 20
+_BALLS = 128
+_RANGE_M = (0.02, 1.0)
+_OUTLINE_SD_PX = 0.7
+_MIN_EXPLAINED = 0.5  # minimum share of the mask that a tube must cover
+_GOOD_EXPLAINED, _GOOD_OUTLINE = 0.9, 0.1
+_ON_SURFACE_SD, _ON_SURFACE_M, _GOOD_ON_SURFACE = 4.0, 0.002, 0.8
+_MAY_BE_FRUIT, _CLEARLY_BETTER = 0.01, 0.03  # shares of the points, and of the silhouette
+# Two fruit in one outline overlap their tube by 0.72 to 0.82, 47 real fruit by 0.84 to 0.99.
+_LEAST_OVERLAP = 0.83
+# Outside these limits, other initial shapes are tried
+_GOOD_OVERLAP, _UNSURE_M, _FITS_ALIKE = 0.9, 0.004, 4.0
+_FULL_OVERLAP = 0.97  # below it, with a middle line longer than the fit, a hook may be cut short
+_LEAST_SEEN = 6  # readings needed for these initial shapes
+# Tolerances of misfit and silhouette where most depth is missing: there a few wrong readings
+# dominate the misfit, so it counts less.
+_SPARSE_ALIKE, _SPARSE_BETTER = 0.1, 0.05
+_END_ON_DEG = 70.0
+_STEEP, _TOO_LONG_SD = 0.87, 3.0  # beyond 60 degrees, and too long for the girth
+PART_HIDDEN, _UNCERTAIN = 0.1, 0.05
+# Roughness of the outline; a detector's mask that fills the hollow of a bend has 5
+_SMOOTH_PX = 2.5
+
+
+def measure_m6(
+    depth_m: NDArray[np.float32], mask: NDArray[np.bool_], intrinsics: Intrinsics
+) -> Measurement:
+    """Fit a swept tube to a fruit's depth and outline.
+
+    A smooth curve with a radius along it and round ends, fitted to the mask's depth points and
+    to the rays through its outline at once (`geometry.tube_fit`), each weighted by its own
+    error: depth by the sensor's noise at that distance. The outline along nearer objects is
+    ignored, so that a part behind a leaf is bridged; there is no depth gate.
+
+    Parameters
+    ----------
+    depth_m : ndarray of float32, shape (H, W)
+        Metres, aligned to colour.
+    mask : ndarray of bool, shape (H, W)
+        The fruit's pixels.
+    intrinsics : Intrinsics
+        The colour stream's.
+
+    Returns
+    -------
+    Measurement
+        `length_m` is the centreline (kind 'centreline'); `tube` has all three lengths and `fit`
+        everything else. Reason 'too-few-points' (of depth), 'outline-too-short' (hardly any of
+        the outline is the fruit's own), 'not-a-tube', 'along-the-view' (it points along the view
+        and is far too long for its girth), 'out-of-range'.
+
+    Examples
+    --------
+    >>> from cucumbervision.capture.intrinsics import Intrinsics
+    >>> from cucumbervision_lab.scenes.scene import Scene, render
+    >>> from cucumbervision_lab.scenes.bodies import arc_tube, rotation
+    >>> camera = Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0)
+    >>> fruit = arc_tube(0.20, 0.02, 0.30).moved(rotation(tilt_deg=40), (0, 0, 0.5))
+    >>> scene = render(Scene.of(fruit), camera)
+    >>> result = measure_m6(scene.depth_m.astype(np.float32), scene.mask(0), camera)
+    >>> round(result.tube.centreline_m, 3), round(result.tube.thread_m / fruit.thread_m, 2)
+    (0.2, 1.0)
+    """
+    view = view_tube(depth_m, mask, intrinsics)
+    if view is None:
+        return Measurement(MethodName.M6, reason=Reason.TOO_FEW_POINTS)
+    fitting = fit_view(view)
+    if isinstance(fitting, Reason):
+        return Measurement(MethodName.M6, reason=fitting)
+    ends = beyond_ends(depth_m, mask, intrinsics, *fitting.shape.balls())
+    return with_hidden_end(judged_fit(view, fitting, ends), depth_m, intrinsics)
+
+
+def fits_well(measured: Measurement) -> bool:
+    """Return whether a tube fits the mask so well that no other mask is needed.
+
+    A rough outline, or a mask that no tube covers, indicates missing or added parts.
+
+    Parameters
+    ----------
+    measured : Measurement
+        Result of `measure_m6`.
+
+    Examples
+    --------
+    A bar with depth, and without:
+
+    >>> from cucumbervision.capture.intrinsics import Intrinsics
+    >>> camera = Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0)
+    >>> depth, bar = np.full((480, 640), 0.5, np.float32), np.zeros((480, 640), bool)
+    >>> bar[220:260, 200:440] = True
+    >>> [fits_well(measure_m6(readings, bar, camera)) for readings in (depth, 0 * depth)]
+    [True, False]
+    """
+    fit = measured.fit
+    return (
+        fit is not None
+        and fit.outline_rms_px <= _SMOOTH_PX
+        and {Flag.POOR_FIT, Flag.UNCERTAIN}.isdisjoint(fit.flags)
+    )
+
+
+def fit_view(view: TubeView) -> TubeFitting | Reason:
+    """Return the best-fitting tube of a view, or the reason why there is none."""
+    if len(view.evidence.points_m) < _MIN_POINTS:
+        return Reason.TOO_FEW_POINTS
+    if len(view.evidence.rays) < _MIN_RAYS:
+        return Reason.OUTLINE_TOO_SHORT
+    try:
+        fitting = _best_fit(view)
+    except np.linalg.LinAlgError:
+        return Reason.NOT_A_TUBE
+    shape = fitting.shape
+    if not (np.isfinite(shape.bend_m).all() and np.isfinite(shape.width_m).all()):
+        return Reason.NOT_A_TUBE
+    return Reason.ALONG_THE_VIEW if _runs_away(fitting) else fitting
+
+
+def _best_fit(view: TubeView) -> TubeFitting:
+    surface, evidence = view.surface_m, view.evidence
+    level = near_depths(surface)
+    fits = [fit_shape(evidence, guess_shape(surface, level))]
+    # Points off the plane are background, or the far part of a hook.
+    guesses = [guess_shape(surface)] if 1.0 - float(level.mean()) >= _MAY_BE_FRUIT else []
+    first = fits[0]
+    overlap = _coverage(view, first.shape)[2]
+    is_read = view.grid_mask & (view.grid_depth_m > 0)
+    unsure = np.count_nonzero(is_read) >= _LEAST_SEEN and (
+        overlap < _GOOD_OVERLAP
+        or first.centreline_sd_m > _UNSURE_M
+        or _end_on(first.shape.balls()[0])
+        or view.sparse
+    )
+    if unsure:
+        guesses.append(_flat_guess(view))
+        if view.sparse:
+            guesses.append(_flat_guess(view, by_girth=True))
+    if unsure or overlap < _FULL_OVERLAP:
+        picture = view.grid_rays[:, :2] / view.grid_rays[:, 2:]
+        bent = guess_from_midline(picture, view.grid_mask, view.grid_depth_m)
+        if bent is not None and (unsure or bent.length_m > first.shape.length_m):
+            guesses.append(bent)
+    # A guess that extends into the background is longer than any fruit and does not converge.
+    fits += [fit_shape(evidence, guess) for guess in guesses if guess.length_m <= _RANGE_M[1]]
+    return _better(view, fits) if len(fits) > 1 else first
+
+
+def _better(view: TubeView, fits: list[TubeFitting]) -> TubeFitting:
+    # Clearly better coverage of the mask decides, then the misfit. Of two equal fits, the flatter
+    # one is taken, as fruit hang; if most depth is missing, the one of more even thickness.
+    overlap = [_coverage(view, fit.shape)[2] for fit in fits]
+    least_overlap = max(overlap) - (_SPARSE_BETTER if view.sparse else _CLEARLY_BETTER)
+    covering = [f for f, o in zip(fits, overlap, strict=True) if o > least_overlap]
+    covering = [f for f in covering if not _runs_away(f)] or covering
+    least_misfit = min(fit.misfit for fit in covering)
+    alike = _SPARSE_ALIKE * least_misfit if view.sparse else _FITS_ALIKE
+    of_these = [f for f in covering if f.misfit <= least_misfit + alike]
+    return min(of_these, key=_unevenness if view.sparse else _depth_share)
+
+
+def _unevenness(fit: TubeFitting) -> float:
+    _, radii = fit.shape.balls(5)
+    return abs(float(radii[3] - radii[1])) / float(radii[3] + radii[1])
+
+
+def _runs_away(fit: TubeFitting) -> bool:
+    # Along the view, the outline does not constrain the length, and readings of the background
+    # extend the body; then only the girth shows that it is too long.
+    if _depth_share(fit) < _STEEP:
+        return False
+    _, radii = fit.shape.balls()
+    return DRAWN_KINDS.excess_sd(fit.shape.length_m, 2.0 * float(radii.max())) > _TOO_LONG_SD
+
+
+def _depth_share(fit: TubeFitting) -> float:
+    centres, _ = fit.shape.balls(2)
+    run, middle = centres[1] - centres[0], centres.mean(axis=0)
+    return abs(float(run @ middle)) / float(np.linalg.norm(run) * np.linalg.norm(middle))
+
+
+def _flat_guess(view: TubeView, *, by_girth: bool = False) -> TubeShape:
+    # The middle line of the outline, with the depth of a plane through most readings.
+    rays = view.grid_rays[view.grid_mask]
+    picture, depth = rays[:, :2] / rays[:, 2:], view.grid_depth_m[view.grid_mask]
+    is_read = depth > 0
+    return guess_from_picture(picture, is_read, 1.0 / depth[is_read], by_girth=by_girth)
+
+
+def judged_fit(
+    view: TubeView, fitting: TubeFitting, ends: tuple[BeyondEnd, BeyondEnd]
+) -> Measurement:
+    """Return the measurement of a fitted tube, or the reason why it is rejected.
+
+    Parameters
+    ----------
+    view : TubeView
+        The view that defines the coordinates.
+    fitting : TubeFitting
+        The tube.
+    ends : tuple of BeyondEnd
+        The depth beyond its ends.
+    """
+    overhangs = end_overhangs(fitting.shape, fitting.rays, view.evidence.rays)
+    traits = tube_traits(*with_tips(*fitting.shape.balls(_BALLS), overhangs))
+    length = traits.lengths.centreline_m
+    if not _RANGE_M[0] <= length <= _RANGE_M[1]:
+        return Measurement(MethodName.M6, reason=Reason.OUT_OF_RANGE)
+    fit = _fit(view, fitting, traits, ends)
+    if fit.explained < _MIN_EXPLAINED:
+        return Measurement(MethodName.M6, reason=Reason.NOT_A_TUBE)
+    return Measurement(MethodName.M6, length, LengthKind.CENTRELINE, path_m=traits.axis_m, fit=fit)
+
+
+def _fit(
+    view: TubeView, fitting: TubeFitting, traits: TubeTraits, ends: tuple[BeyondEnd, BeyondEnd]
+) -> TubeFit:
+    explained, hidden, overlap = _coverage(view, fitting.shape)
+    rays = fitting.rays
+    distances_m = np.linalg.norm(rays.centres_m, axis=1)
+    outline_px = 1.4826 * median_of(np.abs(rays.gap_m) / distances_m) * view.focal_px
+    depth_m = 1.4826 * median_of(np.abs(fitting.points.gap_m))
+    first, last = (s and not b.covered for s, b in zip(fitting.ends_seen, ends, strict=True))
+    flags = []
+    if not (first and last):
+        flags.append(Flag.END_HIDDEN)
+    if _end_on(traits.axis_m) or traits.may_hide_an_end:
+        flags.append(Flag.END_ON)
+    if hidden > PART_HIDDEN:
+        flags.append(Flag.PART_HIDDEN)
+    rough = outline_px * median_of(distances_m) / view.focal_px / traits.diameter_max_m
+    on_it = _on_surface(view, fitting)
+    fits_mask = explained >= _GOOD_EXPLAINED and overlap >= _LEAST_OVERLAP
+    if not fits_mask or rough > _GOOD_OUTLINE or on_it < _GOOD_ON_SURFACE:
+        flags.append(Flag.POOR_FIT)
+    sd = fitting.centreline_sd_m
+    if sd > _UNCERTAIN * traits.lengths.centreline_m:
+        flags.append(Flag.UNCERTAIN)
+    return TubeFit(
+        traits=traits,
+        centreline_sd_m=sd,
+        thread_sd_m=sd * traits.lengths.thread_m / traits.lengths.centreline_m,
+        hidden_share=hidden,
+        explained=explained,
+        fill=view.fill,
+        outline_rms_px=outline_px,
+        depth_rms_m=depth_m,
+        ends_seen=(first, last),
+        ends_covariance=fitting.ends_covariance,
+        ends_open=(ends[0].behind, ends[1].behind),
+        flags=tuple(flags),
+    )
+
+
+@lru_cache(maxsize=8)
+def _coverage(view: TubeView, shape: TubeShape) -> tuple[float, float, float]:
+    # Intersect the rays of the window with the tube, and compare with the picture. The last value
+    # is the overlap of tube and mask where no nearer object hides the tube.
+    met = gaps(shape, view.grid_rays, rays=True)
+    inside = met.gap_m < 0
+    fruit_mask = view.grid_mask
+    common = int((inside & fruit_mask).sum())
+    nearer = (view.grid_depth_m > 0) & (view.grid_depth_m < met.centres_m[:, 2])
+    covered = int((inside & ~fruit_mask & nearer).sum())
+    # If most depth is missing, a ray without a reading may be covered.
+    unread = int((inside & ~fruit_mask & (view.grid_depth_m <= 0)).sum()) if view.sparse else 0
+    either = int((inside | fruit_mask).sum()) - covered - unread
+    return (
+        common / max(int(fruit_mask.sum()), 1),
+        covered / max(int(inside.sum()), 1),
+        common / max(either, 1),
+    )
+
+
+def _on_surface(view: TubeView, fitting: TubeFitting) -> float:
+    # Share of the depth points on the tube, within the error of the sensor.
+    within = (
+        np.abs(fitting.points.gap_m) <= _ON_SURFACE_SD * view.evidence.points_sd_m + _ON_SURFACE_M
+    )
+    return float(within.mean())
+
+
+def _end_on(axis_m: NDArray[np.float64]) -> bool:
+    for tip, inner in ((0, 1), (-1, -2)):
+        step = axis_m[tip] - axis_m[inner]
+        view = axis_m[tip] / np.linalg.norm(axis_m[tip])
+        if float(step @ view) > np.sin(np.deg2rad(_END_ON_DEG)) * float(np.linalg.norm(step)):
+            return True
+    return False
+
+
+def _measure(region: Region) -> Measurement:
+    if region.mask is None:
+        return Measurement(MethodName.M6, reason=Reason.NO_MASK)
+    return measure_m6(region.depth_m, region.mask, region.intrinsics)
+
+
+METHOD = TableMethod(
+    name="M6",
+    title="swept tube",
+    kind=LengthKind.CENTRELINE,
+    measure=_measure,
+    needs=("mask",),
+    rank=10,
+    least_points=100,
+    color="#FFFFFF",
+)

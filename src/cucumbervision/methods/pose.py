@@ -1,0 +1,333 @@
+"""Pose of a fruit for grasping and cutting: its ends, its axis, the place to cut."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ConfigDict, Field, PlainSerializer, PlainValidator, TypeAdapter, WithJsonSchema
+
+from cucumbervision.capture.frames import valid_depth
+from cucumbervision.tube.curve import arc_positions, points_along
+from cucumbervision.tube.tube_fit import END_SHARE
+from cucumbervision.methods.flags import Flag
+from cucumbervision.methods.intervals import SCALE_SD
+
+if TYPE_CHECKING:
+    from cucumbervision.capture.frames import Capture
+    from cucumbervision.fruit.instance import Instance
+    from cucumbervision.methods.result import Measurement, TubeFit
+
+CAMERA_FRAME = "camera_color_optical_frame"
+"""Name of the coordinates of a capture that names none: x right, y down, z forward."""
+
+CUT_BEYOND_M = 0.02
+"""How far beyond the stem end a fruit is cut where no crop profile names it, metres."""
+
+_AXIS_POINTS = 33
+
+# Nearly all hanging fruit have the stem above: log-odds for an upright fruit.
+_HANGING_LOG_ODDS = 6.0
+_MOST_CONFIDENCE = 0.9999
+
+# Not covered by the fit: a stem end is no hemisphere, and a peduncle deviates from the axis.
+_END_SD_M = 0.0025
+_PEDUNCLE_SD_RAD = 0.26
+
+_NEARER_M = 0.01  # an object nearer than the cut place by more is in the way
+
+
+def _array(digits: int, *shape: int | None) -> Any:
+    """Return the pydantic type of an array of that shape as JSON; None for any size."""
+    schema: dict[str, Any] = {"type": "number"}
+    for size in reversed(shape):
+        limits = {} if size is None else {"minItems": size, "maxItems": size}
+        schema = {"type": "array", "items": schema, **limits}
+    write = PlainSerializer(lambda values: np.round(values, digits).tolist())
+    return PlainValidator(np.asarray), write, WithJsonSchema(schema)
+
+
+_Point = Annotated[NDArray[np.float64], *_array(5, 3)]
+_Line = Annotated[NDArray[np.float64], *_array(5, None, 3)]
+_Values = Annotated[NDArray[np.float64], *_array(5, None)]
+_Matrix = Annotated[NDArray[np.float64], *_array(12, 3, 3)]
+
+
+def _describe(schema: dict[str, Any], described: type[Any]) -> None:
+    schema["description"] = (described.__doc__ or "").partition("\n")[0]
+
+
+FIRST_LINE = ConfigDict(json_schema_extra=_describe)
+"""A class's `__pydantic_config__`: its JSON Schema has the first line of its docstring alone."""
+
+
+class Part(StrEnum):
+    """Parts of a fruit that may be out of sight."""
+
+    STEM = "stem"
+    BLOSSOM = "blossom"
+    BODY = "body"
+    CUT = "cut"
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FruitPose:
+    """A fruit in space: metres, in coordinates of the camera (x right, y down, z forward).
+
+    Parameters
+    ----------
+    frame : str
+        Name of the coordinates: that of the source, as in ROS, otherwise
+        'camera_color_optical_frame'.
+    stem_m, blossom_m : ndarray of float64, shape (3,)
+        The two ends; for a hidden end, the end of the visible part.
+    stem_confidence : float
+        Probability that `stem_m` is the stem end, 0.5 to 1. At 0.5 the ends are not distinguished,
+        and the upper end in the picture is taken.
+    centre_m : ndarray of float64, shape (3,)
+        The middle of the axis.
+    axis_m : ndarray of float64, shape (33, 3)
+        The axis from the stem's end to the blossom's, evenly spaced.
+    radius_m : ndarray of float64, shape (33,)
+        The radius at each of these points.
+    direction : ndarray of float64, shape (3,)
+        Unit vector along the axis at the stem's end, out of the fruit.
+    cut_m : ndarray of float64, shape (3,), optional
+        The place to cut, on the extension of the axis beyond the stem end; None if that end is
+        hidden.
+    cut_covariance_m2 : ndarray of float64, shape (3, 3), optional
+        Its covariance, square metres.
+    covered : tuple of Part
+        Hidden parts: an end, more than a tenth of the body, the place to cut.
+
+    Examples
+    --------
+    >>> from cucumbervision import example_captures, measure
+    >>> pose = measure(example_captures() / "simulated-row-a", instances="dataset").fruit[0].pose
+    >>> bool(pose.stem_m[1] < pose.blossom_m[1]), [str(part) for part in pose.covered]
+    (True, [])
+    >>> round(float(np.linalg.norm(pose.cut_m - pose.stem_m)), 3)
+    0.02
+    """
+
+    __pydantic_config__: ClassVar = FIRST_LINE
+
+    frame: str
+    stem_m: Annotated[_Point, Field(description="stem end")]
+    blossom_m: Annotated[_Point, Field(description="blossom end")]
+    stem_confidence: Annotated[float, Field(description="probability that this end is the stem's")]
+    centre_m: Annotated[_Point, Field(description="middle of the axis")]
+    axis_m: Annotated[_Line, Field(description="the axis, from the stem end")]
+    radius_m: Annotated[_Values, Field(description="the radius at each point of the axis")]
+    direction: Annotated[_Point, Field(description="out of the fruit at the stem end, unit")]
+    cut_m: Annotated[_Point | None, Field(description="place to cut")]
+    cut_covariance_m2: Annotated[_Matrix | None, Field(description="its covariance")]
+    covered: Annotated[tuple[Part, ...], Field(description="parts that are out of sight")]
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the pose as JSON values: metres to 10 micrometres."""
+        values: dict[str, Any] = _POSE.dump_python(self, mode="json")
+        return values
+
+    def __repr__(self) -> str:
+        stem = ", ".join(f"{value:.3f}" for value in self.stem_m)
+        return f"<FruitPose: stem at ({stem}) m, {self.stem_confidence:.0%} sure>"
+
+
+_POSE = TypeAdapter(FruitPose)
+
+
+def stem_first(
+    measurement: Measurement, instance: Instance, capture: Capture
+) -> tuple[Measurement, float]:
+    """Return a measurement whose line begins at the stem end, and the confidence of that end.
+
+    Parameters
+    ----------
+    measurement : Measurement
+        Measurement of one method.
+    instance : Instance
+        The fruit, with keypoints and the confidence of their direction, if there are any.
+    capture : Capture
+        The frame; its `gravity` gives the upward direction.
+
+    Returns
+    -------
+    measurement : Measurement
+        Unchanged if it has no line.
+    confidence : float
+        0.5 to 1.
+
+    Examples
+    --------
+    >>> from cucumbervision.capture.frames import Capture
+    >>> from cucumbervision.capture.intrinsics import Intrinsics
+    >>> from cucumbervision.methods.result import Measurement, MethodName
+    >>> from cucumbervision.fruit.instance import Instance
+    >>> lens = Intrinsics(64, 48, 60.0, 60.0, 32.0, 24.0)
+    >>> blank = np.zeros((48, 64, 3), np.uint8), np.zeros((48, 64), np.float32)
+    >>> line = np.array([[0.0, 0.1, 0.5], [0.0, -0.1, 0.5]])  # upwards: y is down
+    >>> down = Capture(*blank, lens, "a", gravity=(0.0, 1.0, 0.0))
+    >>> fruit = Instance(np.array([20.0, 12, 40, 36]))
+    >>> turned, sure = stem_first(Measurement(MethodName.M3, 0.2, path_m=line), fruit, down)
+    >>> turned.path_m[0].tolist(), round(sure, 3)
+    ([0.0, -0.1, 0.5], 0.998)
+    """
+    path = measurement.path_m
+    if path is None:
+        return measurement, 0.5
+    ends = path[[0, -1]]
+    odds = _keypoint_odds(ends, instance, capture) + _gravity_odds(ends, capture)
+    sure = _sure(odds)
+    if odds > 0 or (odds == 0 and ends[0, 1] <= ends[1, 1]):
+        return measurement, sure
+    fit = measurement.fit
+    return replace(measurement, path_m=path[::-1], fit=fit and _turned(fit)), sure
+
+
+def _sure(log_odds: float) -> float:
+    """Return the probability of the likelier of two answers."""
+    from scipy.special import expit
+
+    return float(expit(abs(log_odds)))
+
+
+def _keypoint_odds(ends_m: NDArray[np.float64], instance: Instance, capture: Capture) -> float:
+    """Return the log-odds, from the keypoints, that the first of two ends is the stem end."""
+    points = instance.keypoints
+    if points is None or (ends_m[:, 2] <= 0).any():
+        return 0.0
+    blossom, stem = points[0, :2], points[-1, :2]
+    first, last = capture.intrinsics.project(ends_m)
+    as_is = np.linalg.norm(first - stem) + np.linalg.norm(last - blossom)
+    swapped = np.linalg.norm(first - blossom) + np.linalg.norm(last - stem)
+    confidence = 1.0 if instance.end_confidence is None else instance.end_confidence
+    sure = min(confidence, _MOST_CONFIDENCE)
+    return float(np.sign(swapped - as_is) * np.log(sure / (1 - sure)))
+
+
+def _gravity_odds(ends_m: NDArray[np.float64], capture: Capture) -> float:
+    """Return the same log-odds from gravity, near 0 for a horizontal fruit."""
+    if capture.gravity is None:
+        return 0.0
+    down = np.array(capture.gravity) / np.linalg.norm(capture.gravity)
+    run = ends_m[1] - ends_m[0]
+    return float(_HANGING_LOG_ODDS * (run @ down) / max(np.linalg.norm(run), 1e-9))
+
+
+def _turned(fit: TubeFit) -> TubeFit:
+    traits = replace(
+        fit.traits,
+        along_m=fit.traits.along_m[-1] - fit.traits.along_m[::-1],
+        diameter_m=fit.traits.diameter_m[::-1],
+        axis_m=fit.traits.axis_m[::-1],
+    )
+    first, last = fit.ends_seen
+    return replace(
+        fit,
+        traits=traits,
+        ends_seen=(last, first),
+        ends_covariance=fit.ends_covariance[::-1],
+        ends_open=fit.ends_open[::-1],
+        looks=None if fit.looks is None else fit.looks[::-1],
+    )
+
+
+def fruit_pose(
+    measurement: Measurement,
+    stem_confidence: float,
+    hidden: tuple[bool, bool],
+    capture: Capture,
+    *,
+    cut_beyond_m: float = CUT_BEYOND_M,
+    scale_known: bool = False,
+) -> FruitPose | None:
+    """Return the pose of a fruit with a fitted tube; None for other fruit.
+
+    Parameters
+    ----------
+    measurement : Measurement
+        Measurement that begins at the stem end (`stem_first`).
+    stem_confidence : float
+        Confidence of the stem end.
+    hidden : tuple of bool
+        Whether keypoints say that the blossom's and the stem's end are hidden.
+    capture : Capture
+        The frame.
+    cut_beyond_m : float
+        Distance of the cut beyond the stem end, metres.
+    scale_known : bool
+        Whether the camera's depth scale was measured; otherwise its uncertainty is included.
+    """
+    fit = measurement.fit
+    if fit is None:
+        return None
+    axis, run = fit.traits.axis_m, arc_positions(fit.traits.axis_m)
+    shares = np.linspace(0.0, 1.0, _AXIS_POINTS)
+    even = points_along(axis, shares)
+    inner = points_along(axis, [END_SHARE])[0]
+    direction = (axis[0] - inner) / max(float(np.linalg.norm(axis[0] - inner)), 1e-9)
+    covered = [
+        part
+        for part, is_hidden, is_seen in zip(
+            (Part.STEM, Part.BLOSSOM), hidden[::-1], fit.ends_seen, strict=True
+        )
+        if is_hidden or not is_seen
+    ]
+    covered += [Part.BODY] if Flag.PART_HIDDEN in fit.flags else []
+    cut = covariance = None
+    if Part.STEM not in covered:
+        cut = axis[0] + cut_beyond_m * direction
+        covariance = _cut_covariance(
+            fit.ends_covariance[0], cut, direction, cut_beyond_m, 0.0 if scale_known else SCALE_SD
+        )
+        covered += [Part.CUT] if _is_behind(cut, capture) else []
+    return FruitPose(
+        frame=str(capture.provenance.get("frame_id") or CAMERA_FRAME),
+        stem_m=axis[0],
+        blossom_m=axis[-1],
+        stem_confidence=stem_confidence,
+        centre_m=even[_AXIS_POINTS // 2],
+        axis_m=even,
+        radius_m=np.interp(shares * run[-1], fit.traits.along_m, fit.traits.diameter_m) / 2,
+        direction=direction,
+        cut_m=cut,
+        cut_covariance_m2=covariance,
+        covered=tuple(covered),
+    )
+
+
+def _cut_covariance(
+    end: NDArray[np.float64],
+    cut_m: NDArray[np.float64],
+    direction: NDArray[np.float64],
+    beyond_m: float,
+    scale_sd: float,
+) -> NDArray[np.float64]:
+    """Return the covariance of a point on the extension beyond an end.
+
+    The sum of the fitted covariance of the end and its direction, the variation of the end's shape
+    along the line, that of the peduncle's direction across it, and that of the depth scale along
+    the view.
+    """
+    reach = np.hstack([np.eye(3), beyond_m * np.eye(3)])
+    along = np.outer(direction, direction)
+    covariance = reach @ end @ reach.T
+    covariance += _END_SD_M**2 * along
+    covariance += (_PEDUNCLE_SD_RAD * beyond_m) ** 2 * (np.eye(3) - along)
+    covariance += scale_sd**2 * np.outer(cut_m, cut_m)
+    return (covariance + covariance.T) / 2
+
+
+def _is_behind(point_m: NDArray[np.float64], capture: Capture) -> bool:
+    """Return whether an object is in front of a point."""
+    if point_m[2] <= 0:
+        return False
+    u, v = np.rint(capture.intrinsics.project(point_m[None])[0]).astype(int).tolist()
+    if not (0 <= u < capture.width and 0 <= v < capture.height):
+        return False
+    depth_m = capture.depth_m[v, u]
+    return bool(valid_depth(depth_m) and depth_m < point_m[2] - _NEARER_M)

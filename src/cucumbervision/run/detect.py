@@ -1,0 +1,341 @@
+"""Find cucumbers in plain pictures: no depth, no lengths."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+
+from cucumbervision.about import software
+from cucumbervision.capture.frames import Capture
+from cucumbervision.capture.intrinsics import Intrinsics
+from cucumbervision.capture.pictures import PHOTO_SUFFIXES, read_photo, write_jpeg
+from cucumbervision.capture.source import CaptureRef, safe_name, unique_name
+from cucumbervision.errors import CaptureError, wrap_os_errors
+from cucumbervision.files import write_bytes, write_csv, write_json
+from cucumbervision.fruit.instance import KEYPOINT_NAMES, SKELETON
+from cucumbervision.fruit.mask_codes import encode_rle
+from cucumbervision.run.batch import Item, Outcome, SearchedCapture, Worker, measure_all
+from cucumbervision.run.inputs import Listed
+from cucumbervision.run.measurer import Boundary, CaptureResult, Failure, Measurer, exit_code
+from cucumbervision.run.options import MeasureOptions
+from cucumbervision.run.overlay import draw_detections
+from cucumbervision.run.tables import FAILURE_COLUMNS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from cucumbervision.fruit.instance import Instance
+    from cucumbervision.networks.registry import Registry
+
+_JPEG_QUALITY = 90
+
+
+def find_pictures(
+    inputs: Sequence[str | Path], leave_out: Path | None = None
+) -> tuple[list[Item], int]:
+    """List the pictures among files and in folders, including subfolders.
+
+    A named file counts as a picture with any extension; in folders the extension decides, and
+    hidden files are skipped.
+
+    Parameters
+    ----------
+    inputs : sequence of str or Path
+        Files and folders given by the user.
+    leave_out : Path, optional
+        Folder to exclude, such as that of the results.
+
+    Returns
+    -------
+    items : list of Listed or Failure
+        Each file once, in the order of the inputs, sorted within a folder; a failure for each input
+        without pictures.
+    skipped : int
+        Number of files in folders whose extension is not that of a picture.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> folder = Path(tempfile.mkdtemp())
+    >>> for name in ("b.JPG", "a.png", "notes.txt"):
+    ...     _ = (folder / name).write_bytes(b"")
+    >>> pictures, skipped = find_pictures([folder, folder / "b.JPG"])
+    >>> [picture.name for picture in pictures], skipped
+    (['a.png', 'b.JPG'], 1)
+    """
+    apart = leave_out.resolve() if leave_out is not None else None
+    resolved_paths: set[Path] = set()
+    names: set[str] = set()
+    items: list[Item] = []
+    skipped = 0
+    for entry in map(Path, inputs):
+        is_folder, before = entry.is_dir(), len(resolved_paths) - skipped
+        if not is_folder and not entry.exists():
+            error = CaptureError("does not exist", source=entry, remedy="check the path")
+            items.append(Failure.of(error, str(entry)))
+            continue
+        for path, name in _files_below(entry) if is_folder else [(entry, entry.name)]:
+            resolved = path.resolve()
+            if resolved in resolved_paths or (
+                is_folder and apart is not None and apart in resolved.parents
+            ):
+                continue
+            resolved_paths.add(resolved)
+            if is_folder and path.suffix.lower() not in PHOTO_SUFFIXES:
+                skipped += 1
+                continue
+            picture_name = next(
+                (candidate for candidate in (name, path.as_posix()) if candidate not in names),
+                str(resolved),
+            )
+            names.add(picture_name)
+            ref = CaptureRef(picture_name, 0, partial(read_picture, path, picture_name))
+            items.append(Listed(str(path), ref, picture_name))
+        if is_folder and len(resolved_paths) - skipped == before:
+            remedy = "name JPEG, PNG, WebP, TIFF or BMP files, or a folder with some"
+            error = CaptureError("there are no pictures", source=entry, remedy=remedy)
+            items.append(Failure.of(error, str(entry)))
+    return items, skipped
+
+
+def read_picture(path: Path, name: str) -> Capture:
+    """Read a plain picture as a capture without depth; detectors use only its colour."""
+    color = read_photo(path)
+    height, width = color.shape[:2]
+    lens = Intrinsics(width, height, float(width), float(width), width / 2, height / 2)
+    return Capture(color, np.zeros((height, width), np.float32), lens, name, source=str(path))
+
+
+def _files_below(folder: Path) -> Iterator[tuple[Path, str]]:
+    for path in sorted(folder.rglob("*")):
+        inner = path.relative_to(folder)
+        if path.is_file() and not any(part.startswith(".") for part in inner.parts):
+            yield path, inner.as_posix()
+
+
+@dataclass(frozen=True, eq=False)
+class DetectedPicture:
+    """Detections in one picture: its size in pixels, COCO results, and the names of the classes.
+
+    An entry contains the name of the class instead of a category number of COCO.
+    """
+
+    name: str
+    width: int
+    height: int
+    entries: list[dict[str, Any]]
+    classes: tuple[str, ...] = ()
+
+
+class PictureWorker(Worker[DetectedPicture]):
+    """Finds the fruit of plain pictures, and draws them into a folder if one is given."""
+
+    def __init__(self, measurer: Measurer, out: Path | None = None) -> None:
+        super().__init__(measurer)
+        self._out = out
+        self._taken: set[str] = set()
+
+    def measure(
+        self, searched: Outcome[DetectedPicture] | SearchedCapture
+    ) -> Outcome[DetectedPicture]:
+        """Return the detections; nothing is measured."""
+        if isinstance(searched, Outcome):
+            return searched
+        if isinstance(searched.detected, CaptureResult):
+            return self.make(searched.detected, "")
+        capture, detections = searched.detected.capture, searched.detected.detections
+        instances = detections.instances
+        entries = [
+            coco_fields(instance, keypoints=detections.posed) | {"class": instance.class_name}
+            for instance in instances
+        ]
+        size = capture.width, capture.height
+        failures: list[Failure] = []
+        if self._out is not None:
+            with Boundary(failures, capture.source, capture.name):
+                stem = unique_name(safe_name(str(Path(capture.name).with_suffix(""))), self._taken)
+                drawn = draw_detections(capture.color, instances)
+                write_jpeg(self._out / f"{stem}.jpg", drawn, _JPEG_QUALITY)
+        picture = DetectedPicture(capture.name, *size, entries, detections.labels)
+        return Outcome(picture, tuple(failures))
+
+    def make(self, result: CaptureResult, content: str) -> Outcome[DetectedPicture]:  # noqa: ARG002
+        """Return why a picture could not be processed."""
+        return Outcome(failures=result.failures)
+
+
+@dataclass(frozen=True, eq=False)
+class DetectResult:
+    """Result of a run.
+
+    Parameters
+    ----------
+    pictures : list of DetectedPicture
+        The pictures, in order.
+    failures : list of Failure
+        Pictures that could not be read.
+    skipped : int
+        Number of files in folders that are not pictures.
+    models : list of dict
+        Name, SHA-256 and runtime of each network.
+    out : Path
+        Output folder.
+    """
+
+    pictures: list[DetectedPicture] = field(default_factory=list)
+    failures: list[Failure] = field(default_factory=list)
+    skipped: int = 0
+    models: list[dict[str, Any]] = field(default_factory=list)
+    out: Path = Path()
+
+    @property
+    def exit_code(self) -> int:
+        """The exit code of the command: 0, 1, 2 or 70, as in `measurer.exit_code`."""
+        return exit_code(len(self.pictures), self.failures)
+
+
+Report: TypeAlias = Callable[[int, int], None]
+
+
+def detect_inputs(
+    inputs: Sequence[str | Path],
+    out: Path,
+    options: MeasureOptions | None = None,
+    report: Report | None = None,
+    registry: Registry | None = None,
+) -> DetectResult:
+    """Find the fruit in every picture, and write the detections to a folder.
+
+    `out` gets `results.json` (COCO results), `images.json` (the pictures, classes and provenance
+    as a COCO data set without annotations), `failures.csv`, and `overlays/` with one annotated
+    JPEG per picture. A picture that cannot be read is reported, and the others are processed. An
+    interrupted run keeps its results.
+
+    Parameters
+    ----------
+    inputs : sequence of str or Path
+        Files, folders and patterns.
+    out : Path
+        Output folder, created if missing; pictures in it are excluded.
+    options : MeasureOptions, optional
+        Options of the run; those for measuring are ignored.
+    report : callable, optional
+        Called with the number of pictures done and their total; for progress bars.
+    registry : Registry, optional
+        Registry of named networks; by default that of the package.
+
+    Returns
+    -------
+    DetectResult
+
+    Raises
+    ------
+    CucumberVisionError
+        If the run cannot start: a network that cannot be loaded, or a folder that cannot be
+        written.
+    """
+    started = datetime.now(UTC)
+    items, skipped = find_pictures(inputs, leave_out=out)
+    options = options or MeasureOptions()
+    if options.instances == "auto":  # plain pictures have no masks of a data set
+        options = replace(options, instances="models")
+    measurer = Measurer(options, registry)
+    result = DetectResult(skipped=skipped, models=measurer.load().networks.models, out=out)
+    with wrap_os_errors("cannot be written", out):
+        (out / "overlays").mkdir(parents=True, exist_ok=True)
+    worker = PictureWorker(measurer, out / "overlays")
+    try:
+        for done, (_, outcome) in enumerate(measure_all(items, worker), start=1):
+            result.pictures.extend([] if outcome.value is None else [outcome.value])
+            result.failures.extend(outcome.failures)
+            if report is not None:
+                report(done, len(items))
+    finally:
+        _write(result, options, started)
+    return result
+
+
+def _write(result: DetectResult, options: MeasureOptions, started: datetime) -> None:
+    named = [picture.classes for picture in result.pictures]
+    class_names = [{entry["class"] for entry in picture.entries} for picture in result.pictures]
+    labels = list(
+        dict.fromkeys(name for names in (*named, *map(sorted, class_names)) for name in names)
+    )
+    images, lines = [], []
+    for number, picture in enumerate(result.pictures, start=1):
+        size = {"width": picture.width, "height": picture.height}
+        images.append({"id": number, "file_name": picture.name, **size})
+        for entry in picture.entries:
+            fields = {key: value for key, value in entry.items() if key != "class"}
+            category = labels.index(entry["class"]) + 1
+            head = {"image_id": number, "file_name": picture.name, "category_id": category}
+            lines.append(json.dumps(head | fields, ensure_ascii=False))
+    info = {
+        "description": "Pictures given to cucumbervision detect; results.json has their fruit",
+        **software(),
+        "started": started.isoformat(timespec="seconds"),
+        "options": options.as_json(),
+        "models": result.models,
+    }
+    pictures = {
+        "info": info,
+        "licenses": [],
+        "images": images,
+        "annotations": [],
+        "categories": _coco_categories(labels),
+    }
+    with wrap_os_errors("cannot be written", result.out):
+        write_json(result.out / "images.json", pictures)
+        write_csv(result.out / "failures.csv", FAILURE_COLUMNS, map(vars, result.failures))
+    # One entry a line.
+    text = ",\n".join(lines)
+    write_bytes(result.out / "results.json", (f"[\n{text}\n]\n" if lines else "[]\n").encode())
+
+
+def _coco_categories(labels: Sequence[str]) -> list[dict[str, Any]]:
+    """Return the classes, numbered from 1, with the five keypoints' names.
+
+    Examples
+    --------
+    >>> [(c["id"], c["name"]) for c in _coco_categories(["cucumber"])]
+    [(1, 'cucumber')]
+    """
+    skeleton = [[a + 1, b + 1] for a, b in SKELETON]
+    return [
+        {"id": k, "name": label, "keypoints": list(KEYPOINT_NAMES), "skeleton": skeleton}
+        for k, label in enumerate(labels, start=1)
+    ]
+
+
+def coco_fields(instance: Instance, *, keypoints: bool) -> dict[str, Any]:
+    """Return box, score, mask and keypoints of one fruit in the format of COCO results.
+
+    COCO counts pixels from the picture's corner, so that pixel (0, 0) covers 0 to 1. With
+    `keypoints` every entry has keypoints, because a network looked for them.
+    """
+    x1, y1, x2, y2 = (float(edge) for edge in instance.box)
+    box = [x1 + 0.5, y1 + 0.5, x2 - x1, y2 - y1]
+    entry: dict[str, Any] = {
+        "bbox": [round(value, 3) for value in box],
+        "score": round(instance.confidence, 5),
+    }
+    if instance.input_size_px is not None:
+        entry["input_size"] = instance.input_size_px
+    mask = instance.detector_mask if instance.mask is None else instance.mask
+    if mask is not None:
+        entry["segmentation"] = {"size": list(mask.shape), "counts": encode_rle(mask)}
+        entry["mask_source"] = str(instance.mask_source or "detector")
+    if keypoints:
+        points = np.zeros((len(KEYPOINT_NAMES), 3))
+        if instance.keypoints is not None:
+            points = instance.keypoints + np.array([0.5, 0.5, 0.0])
+        entry["keypoints"] = [round(value, 3) for value in points.ravel().tolist()]
+        entry["num_keypoints"] = int(np.count_nonzero(points[:, 2]))
+    return entry

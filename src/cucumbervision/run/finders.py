@@ -1,0 +1,519 @@
+"""Sources of a capture's instances: the data set, a file, or networks."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+
+from cucumbervision.errors import CucumberVisionError, InstancesError, PluginError
+from cucumbervision.fruit.instance import (
+    MASK_FAILURES,
+    Instance,
+    MaskSource,
+    in_picture,
+    with_keypoints,
+)
+from cucumbervision.fruit.masks import box_of_mask, is_box_mask, without_flower
+from cucumbervision.methods.m6 import fits_well, measure_m6
+from cucumbervision.methods.result import Selector
+from cucumbervision.networks.keypoint_axis import place_keypoints
+from cucumbervision.run.options import INSTANCE_SOURCES, MeasureOptions
+from cucumbervision.run.plugged import PlugIns
+from cucumbervision.plugins import Kind, Plugin, plugins
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from cucumbervision.capture.frames import Capture
+    from cucumbervision.methods.result import Measurement
+    from cucumbervision.networks.networks import NetworkLoader
+    from cucumbervision.networks.registry import Registry
+    from cucumbervision.networks.yolo import YoloDetector
+    from cucumbervision.protocols import Detector
+
+_MAY_HOLD_FLOWERS = (MaskSource.SAM, MaskSource.SEGMENTER)
+
+
+@dataclass(frozen=True, eq=False)
+class Detections:
+    """The fruit detected in one capture.
+
+    Parameters
+    ----------
+    instances : tuple of Instance
+        The instances, with the mask to measure if there is one.
+    clipped : frozenset of int
+        Indices of instances that extended beyond the picture and were clipped.
+    refused : tuple of CucumberVisionError
+        Errors of entries of a file that are no valid instances of this picture.
+    stages : frozenset of str
+        What networks did: 'detected', 'posed' and 'drawn'.
+    labels : tuple of str
+        The classes that a detector knows.
+    posed : bool
+        Whether a network looked for keypoints.
+    tubes : tuple of Measurement or None
+        M6 of each instance whose mask was measured to evaluate the mask; empty if none was.
+    left_out : mapping of str to int
+        Number of excluded detections by class.
+    unmasked : frozenset of int
+        Indices of instances for which a segmenter of another package failed.
+    """
+
+    instances: tuple[Instance, ...]
+    clipped: frozenset[int] = frozenset()
+    refused: tuple[CucumberVisionError, ...] = ()
+    stages: frozenset[str] = frozenset()
+    labels: tuple[str, ...] = ()
+    posed: bool = False
+    tubes: tuple[Measurement | None, ...] = ()
+    left_out: Mapping[str, int] = field(default_factory=dict)
+    unmasked: frozenset[int] = frozenset()
+
+    def of_classes(self, classes: Collection[str]) -> Detections:
+        """Return the detections of some classes; all if `classes` is empty."""
+        if not classes:
+            return self
+        chosen = [k for k, instance in enumerate(self.instances) if _class_of(instance) in classes]
+        excluded = [instance for instance in self.instances if _class_of(instance) not in classes]
+        return replace(
+            self,
+            instances=tuple(self.instances[k] for k in chosen),
+            clipped=frozenset(n for n, k in enumerate(chosen) if k in self.clipped),
+            left_out=Counter(instance.class_name for instance in excluded),
+        )
+
+
+def _class_of(instance: Instance) -> str:
+    return instance.class_name.strip().casefold()
+
+
+Find: TypeAlias = Callable[["Capture"], Detections]
+
+
+@dataclass(frozen=True)
+class Finder:
+    """A function that finds fruit, and the networks that it uses.
+
+    Parameters
+    ----------
+    find : callable
+        Returns the fruit of a capture.
+    networks : NetworkLoader
+        Loads the networks, and lists those that are loaded.
+    plugins : tuple of Plugin
+        Detector and segmenter of other packages, if any.
+    """
+
+    find: Find
+    networks: NetworkLoader
+    plugins: tuple[Plugin, ...] = ()
+
+    def models_of(self, stages: Collection[str]) -> tuple[dict[str, Any], ...]:
+        """Return the networks that took part in some stages, and the plug-ins in their place."""
+        tasks = {"pose", "fruit"} if "posed" in stages else set()
+        tasks |= _FINDING if "detected" in stages else set()
+        drawn = "drawn" in stages
+        tasks |= {"look"} if drawn or "detected" in stages else set()
+        networks = [
+            network
+            for network in self.networks.models
+            if network["task"] in tasks or (drawn and network["task"] not in _FINDING | {"look"})
+        ]
+        kinds = {"detectors", "segmenters"} if drawn else {"detectors"}
+        return (*networks, *(plugin.as_json() for plugin in self.plugins if plugin.kind in kinds))
+
+
+_FINDING = {"segment", "detect", "fruit", "pose"}  # tasks of networks; all others draw masks
+
+
+def make_finder(
+    options: MeasureOptions, registry: Registry | None = None, plug_ins: PlugIns | None = None
+) -> Finder:
+    """Create the finder that the options select.
+
+    Parameters
+    ----------
+    options : MeasureOptions
+        Options of the run.
+    registry : Registry, optional
+        Registry of named networks; by default that of the package.
+    plug_ins : PlugIns, optional
+        Detector and segmenter of the calling program, in place of those of the options.
+
+    Returns
+    -------
+    Finder
+        Loads each network once. SAM, and with 'auto' also the networks of the package, are loaded
+        when the first capture needs them.
+
+    Raises
+    ------
+    ModelError
+        If a network is missing or cannot be loaded.
+    InstancesError
+        If the file of instances cannot be read.
+    PluginError
+        If a detector or segmenter of another package cannot be loaded.
+    """
+    from cucumbervision.networks.networks import NetworkLoader
+
+    plug_ins = plug_ins or PlugIns()
+    detector = _plugged("detectors", options.instances, plug_ins.detector)
+    painter = _plugged("segmenters", options.segmenter, plug_ins.segmenter)
+
+    networks = NetworkLoader(
+        registry,
+        runtime=options.runtime,
+        confidence=options.confidence,
+        prompt=options.prompt,
+        full_precision=options.full_precision,
+        input_sizes=options.input_sizes,
+    )
+    name = options.segmenter
+    if painter is None and name not in (None, "none"):
+        networks.verify(networks.registry.segmenter(name).name)
+    boxes = _box_finder(options, networks) if detector is None else _finder_of(*detector)
+    draws_all = painter is not None or options.segmenter is not None
+
+    def find(capture: Capture) -> Detections:
+        detections = boxes(capture).of_classes(options.classes)
+        if name != "none":
+            detections = _without_box_masks(detections)
+        if (
+            name is None and options.selector is Selector.BEST
+        ):  # the paper's selector measures the masks of SAM
+            detections = _with_fitting_masks(capture, detections)
+        # Existing masks are used unchanged unless the user chose a segmenter.
+        drawn = [k for k, i in enumerate(detections.instances) if draws_all or i.mask is None]
+        if (painter is None and name == "none") or not drawn:
+            return _finished(capture, detections, detections.instances, networks)
+        prompts = [replace(detections.instances[k], mask=None, mask_source=None) for k in drawn]
+        try:
+            if painter is None:
+                answers = tuple(networks.segmenter(name).segment(capture.color, prompts))
+            else:
+                answers = _segmented(*painter, capture, prompts)
+        except PluginError as error:
+            answers = tuple(prompts)
+            refused = (*detections.refused, error)
+            detections = replace(detections, unmasked=frozenset(drawn), refused=refused)
+        masked = dict(zip(drawn, answers, strict=True))
+        instances = tuple(
+            masked.get(k, instance) for k, instance in enumerate(detections.instances)
+        )
+        detections = replace(detections, stages=detections.stages | {"drawn"})
+        return _finished(capture, detections, instances, networks)
+
+    parts = (plugin for plugin, _ in filter(None, (detector, painter)))
+    # Fruit that a program gives are of no plug-in.
+    return Finder(find, networks, tuple(plugin for plugin in parts if not plugin.is_own))
+
+
+def _plugged(kind: Kind, name: str | None, part: Any) -> tuple[Plugin, Any] | None:
+    """Return a detector or segmenter of the program or of another package, with its line."""
+    if part is not None:
+        return Plugin.of(kind, part), part
+    if name in plugins(kind):
+        return plugins(kind)[str(name)], plugins(kind)[str(name)].load()
+    return None
+
+
+def _segmented(
+    plugin: Plugin, segmenter: Any, capture: Capture, prompts: Sequence[Instance]
+) -> tuple[Instance, ...]:
+    """Return the instances with the masks of a segmenter of another package.
+
+    Raises
+    ------
+    PluginError
+        If it fails, or its answer is no mask of the picture for each instance.
+    """
+    answers = plugin.call(lambda: tuple(segmenter.segment(capture.color, tuple(prompts))))
+    if len(answers) != len(prompts):
+        raise plugin.error(f"returned {len(answers)} masks for {len(prompts)} fruit")
+    shape = (capture.height, capture.width)
+    masked = []
+    for prompt, answer in zip(prompts, answers, strict=True):
+        mask = getattr(answer, "mask", None)
+        if mask is not None and np.shape(mask) != shape:
+            raise plugin.error(f"returned a mask of shape {np.shape(mask)} in place of {shape}")
+        if mask is None or not np.any(mask):
+            fault = str(getattr(answer, "mask_failure", ""))
+            fault = fault if fault in MASK_FAILURES else MASK_FAILURES[0]
+            masked.append(replace(prompt, mask_failure=fault))
+            continue
+        own = np.array(mask, bool)  # a segmenter may draw the next fruit into its array
+        masked.append(replace(prompt, mask=own, mask_source=MaskSource.SEGMENTER, mask_failure=""))
+    return tuple(masked)
+
+
+def _without_box_masks(detections: Detections) -> Detections:
+    """Return fruit whose mask is a filled box without that mask, for the segmenter."""
+    instances = tuple(
+        replace(instance, mask=None, mask_source=None)
+        if instance.mask is not None and is_box_mask(instance.mask)
+        else instance
+        for instance in detections.instances
+    )
+    return replace(detections, instances=instances)
+
+
+def _with_fitting_masks(capture: Capture, detections: Detections) -> Detections:
+    """Return fruit with the mask of the detector if a tube fits it well, and that tube."""
+    instances: list[Instance] = []
+    tubes: list[Measurement | None] = []
+    for instance in detections.instances:
+        mask, tube = instance.detector_mask, None
+        if instance.mask is None and mask is not None and mask.any():
+            measured = measure_m6(capture.depth_m, mask, capture.intrinsics)
+            if fits_well(measured):
+                instance, tube = (
+                    replace(instance, mask=mask, mask_source=MaskSource.DETECTOR),
+                    measured,
+                )
+        instances.append(instance)
+        tubes.append(tube)
+    return replace(detections, instances=tuple(instances), tubes=tuple(tubes))
+
+
+def _finished(
+    capture: Capture,
+    detections: Detections,
+    instances: tuple[Instance, ...],
+    networks: NetworkLoader,
+) -> Detections:
+    """Return detections with final masks and keypoints, ordered where a pose network did not."""
+    cleaned = tuple(
+        replace(instance, mask=without_flower(instance.mask, capture.color, instance.detector_mask))
+        if instance.mask is not None and instance.mask_source in _MAY_HOLD_FLOWERS
+        else instance
+        for instance in instances
+    )
+    placed = place_keypoints(cleaned)
+    stem_looker = networks.stem_looker()
+    if stem_looker is not None:
+        placed = stem_looker.on(*_seen(capture)).order(placed)
+    pairs = zip(detections.tubes, detections.instances, cleaned, strict=False)
+    return replace(
+        detections,
+        instances=placed,
+        tubes=tuple(tube if new.mask is old.mask else None for tube, old, new in pairs),
+    )
+
+
+def dataset_instances(capture: Capture) -> tuple[Instance, ...]:
+    """Return a data set's own masks as instances.
+
+    Empty masks are omitted.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from cucumbervision.capture.frames import Capture
+    >>> from cucumbervision.capture.intrinsics import Intrinsics
+    >>> mask = np.zeros((48, 64), bool)
+    >>> mask[10:20, 5:9] = True
+    >>> capture = Capture(
+    ...     np.zeros((48, 64, 3), np.uint8),
+    ...     np.zeros((48, 64), np.float32),
+    ...     Intrinsics(64, 48, 60.0, 60.0, 32.0, 24.0),
+    ...     name="a",
+    ...     masks=(mask,),
+    ... )
+    >>> dataset_instances(capture)[0].box.tolist()
+    [4.5, 9.5, 8.5, 19.5]
+    """
+    return tuple(
+        Instance(box_of_mask(mask), mask=mask, mask_source=MaskSource.DATASET)
+        for mask in capture.masks
+        if mask.any()
+    )
+
+
+_ROUNDING_PX = 0.51  # boxes relative to the corner of the picture extend half a pixel beyond it
+
+
+def _finder_of(plugin: Plugin, detector: Detector) -> Find:
+    """Return the finder that a detector is; an installed one is a stage, which can be resumed."""
+    installed = plugins("detectors").get(plugin.name) == plugin
+    stages = frozenset({"detected"} if installed else ())
+
+    def find(capture: Capture) -> Detections:
+        instances: list[Instance] = []
+        clipped: set[int] = set()
+        refused: list[CucumberVisionError] = []
+        answers = plugin.call(lambda: tuple(detector(capture)))
+        for number, instance in enumerate(answers, 1):
+            if not isinstance(instance, Instance):
+                raise plugin.error(f"returned {type(instance).__name__} in place of an Instance")
+            try:
+                inside = plugin.call(partial(in_picture, instance, capture.width, capture.height))
+            except InstancesError as error:
+                refused.append(error.at(f"{capture.source or capture.name}, instance {number}"))
+                continue
+            if np.abs(inside.box - np.asarray(instance.box)).max() > _ROUNDING_PX:
+                clipped.add(len(instances))
+            instances.append(inside)
+        return Detections(tuple(instances), frozenset(clipped), tuple(refused), stages)
+
+    return find
+
+
+def _box_finder(options: MeasureOptions, networks: NetworkLoader) -> Find:
+    choice, path = options.instances, Path(options.instances)
+    if choice == "models":
+        return _network_finder(options, networks, pose=options.pose)
+    if choice not in ("auto", "dataset") and not path.exists():
+        raise InstancesError("no such file", source=path, remedy=f"give {_choices()} or a file")
+    if choice not in ("auto", "dataset") and path.suffix.lower() == ".onnx":
+        return _network_finder(options, networks, path, options.pose)
+    pose = None if options.pose is None else networks.pose(options.pose)
+    if choice == "auto":
+        return _auto_finder(options, networks, pose)
+    find = _dataset_or_error if choice == "dataset" else _file_finder(path)
+    return _with_pose(find, pose, options.confidence)
+
+
+def _choices() -> str:
+    return ", ".join(("auto", "models", "dataset", *plugins("detectors")))
+
+
+def _auto_finder(
+    options: MeasureOptions, networks: NetworkLoader, pose: YoloDetector | None
+) -> Find:
+    """Use the masks of a data set if a capture has some, otherwise the networks."""
+    find_in_dataset = _with_pose(_dataset, pose, options.confidence)
+    loaded: list[Find] = []
+
+    def find(capture: Capture) -> Detections:
+        if capture.masks:
+            return find_in_dataset(capture)
+        if not loaded:
+            loaded.append(_network_finder(options, networks, pose=pose))
+        return loaded[0](capture)
+
+    return find
+
+
+def _network_finder(
+    options: MeasureOptions,
+    networks: NetworkLoader,
+    file: Path | None = None,
+    pose: YoloDetector | Path | None = None,
+) -> Find:
+    # The paper's M4 has the keypoints of a pose network.
+    looks = options.selector is Selector.BEST
+    detectors = networks.detectors(file, pose, quick=options.quick, looks=looks)
+    labels, posed = detectors.labels, detectors.gives_keypoints
+
+    def find(capture: Capture) -> Detections:
+        instances = detectors.find(*_seen(capture))
+        return Detections(instances, stages=frozenset({"detected"}), labels=labels, posed=posed)
+
+    return find
+
+
+def _seen(capture: Capture) -> tuple[NDArray[np.uint8], NDArray[np.float32] | None, float | None]:
+    """Return colour, depth and focal length in pixels, both None for a picture without depth."""
+    if not capture.depth_m.any():
+        return capture.color, None, None
+    return capture.color, capture.depth_m, capture.intrinsics.fx_px
+
+
+def _with_pose(find: Find, pose: YoloDetector | None, sure: float) -> Find:
+    """Return a finder whose fruit get a pose network's keypoints."""
+    if pose is None:
+        return find
+
+    def find_with_keypoints(capture: Capture) -> Detections:
+        detections = find(capture)
+        if not detections.instances:
+            return detections
+        poses = pose.detect(capture.color)
+        instances = with_keypoints(detections.instances, poses, sure=sure)
+        return replace(
+            detections, instances=instances, stages=detections.stages | {"posed"}, posed=True
+        )
+
+    return find_with_keypoints
+
+
+def _file_finder(path: Path) -> Find:
+    from cucumbervision.fruit.instance_files import read_instances
+
+    file = read_instances(path)
+
+    def find(capture: Capture) -> Detections:
+        names = (capture.name, capture.source)
+        listed = file.for_capture(names, capture.width, capture.height, frame=capture.frame)
+        cut = frozenset(k for k, clipped in enumerate(listed.clipped) if clipped)
+        return Detections(listed.instances, cut, listed.refused)
+
+    return find
+
+
+def instance_notes(
+    instances: str, captures: Sequence[tuple[Sequence[str], int | None]]
+) -> list[str]:
+    """Return notes on captures and on pictures of a file of instances without a counterpart.
+
+    Parameters
+    ----------
+    instances : str
+        As `MeasureOptions.instances`; no notes if it is not a file of instances.
+    captures : sequence of (sequence of str, int or None)
+        Names and number of each capture, as `InstanceFile.for_capture` takes them.
+
+    Raises
+    ------
+    InstancesError
+        If the file names none of the captures.
+    """
+    from cucumbervision.fruit.instance_files import read_instances
+
+    path = Path(instances)
+    named = instances in INSTANCE_SOURCES or instances in plugins("detectors")
+    if named or path.suffix.lower() == ".onnx":
+        return []
+    file = read_instances(path)
+    missing, unused = file.coverage(captures)
+    if missing and len(missing) == len(captures):
+        raise InstancesError(
+            f"names none of the captures ({_shortened(missing)}); it names {_shortened(unused)}",
+            source=path,
+            remedy="name its pictures as the captures are called",
+        )
+    notes = [f"{path}: no fruit given for {', '.join(missing)}"] if missing else []
+    if unused and captures:
+        notes.append(f"{path}: no capture is called {', '.join(unused)}")
+    if file.crowds:
+        notes.append(f"{path}: {file.crowds} crowd regions, of several fruit each, are left out")
+    return notes
+
+
+def _shortened(names: Sequence[str], most_names: int = 5) -> str:
+    remainder = f" and {len(names) - most_names} more" if len(names) > most_names else ""
+    return f"{', '.join(names[:most_names])}{remainder}"
+
+
+def _dataset_or_error(capture: Capture) -> Detections:
+    if not capture.masks:
+        raise InstancesError(
+            "the data set has no masks for this capture",
+            source=capture.source or capture.name,
+            remedy="put them into mask_visib/, or choose other --instances",
+        )
+    return _dataset(capture)
+
+
+def _dataset(capture: Capture) -> Detections:
+    return Detections(dataset_instances(capture))

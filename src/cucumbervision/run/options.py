@@ -1,0 +1,274 @@
+"""The options of a run, which are part of the provenance."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass, field, replace
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from cucumbervision.crop.profiles import PACK_PROFILE, CropProfile, load_profile
+from cucumbervision.capture.source import ReadOptions
+from cucumbervision.errors import CucumberVisionError, ModelError, ModelHashError, wrap_os_errors
+from cucumbervision.files import json_value, read_json
+from cucumbervision.methods.pose import CUT_BEYOND_M
+from cucumbervision.methods.result import LengthDefinition, Selector
+from cucumbervision.networks.confidence import DEFAULT_CONFIDENCE
+from cucumbervision.networks.registry import file_sha256
+from cucumbervision.networks.runtime import RUNTIMES
+from cucumbervision.networks.sam import PROMPTS
+from cucumbervision.plugins import plugins
+
+if TYPE_CHECKING:
+    from typing import Self
+
+    from cucumbervision.crop.profiles import CropProfile
+
+
+_Enum = TypeVar("_Enum", bound=StrEnum)
+
+GRAVITY_BY_EDGE = {
+    "top": (0.0, 1.0, 0.0),
+    "left": (1.0, 0.0, 0.0),
+    "right": (-1.0, 0.0, 0.0),
+    "bottom": (0.0, -1.0, 0.0),
+}
+"""Direction of gravity in camera coordinates, by the picture's edge that is up."""
+
+INSTANCE_SOURCES = ("auto", "models", "dataset")
+"""What `MeasureOptions.instances` may be beside a file."""
+
+
+@dataclass(frozen=True)
+class MeasureOptions:
+    """Options of a run.
+
+    Parameters
+    ----------
+    instances : str
+        'auto' (the data set's own masks where a capture has them, the models otherwise),
+        'models', 'dataset', or the path of a file: COCO JSON, YOLO txt (or a folder of them),
+        or a YOLO ONNX export.
+    classes : tuple of str
+        The classes to measure, as the file or network names them, in any case; also as one text,
+        'cucumber,gherkin'. All if empty.
+    pose : Path, optional
+        A YOLO pose ONNX export that gives the five keypoints, wherever the fruit come from; the
+        package's own networks give them to fruit of the package's own detector only.
+    quick : bool
+        Whether the package's network that looks at each fruit looks once, and only at what the
+        detector is sure of.
+    end_look : bool
+        Whether a network evaluates both ends of each fruit whose mask a network drew; intervals
+        then depend on its result.
+    segmenter : str, optional
+        A segmenter's name, which draws all masks, or 'none'.
+        With None, the default segmenter draws masks for instances without a mask, and for those
+        whose detector mask does not fit a tube well (`measurement.m6.fits_well`).
+    prompt : str
+        SAM's prompt: 'box+point', 'box' or 'point'.
+    methods : tuple of str
+        Names of the methods to run, in any case; also 'all', or 'm1,m5'.
+    selector : Selector
+        How the result is chosen.
+    length : LengthDefinition
+        Definition of `length_cm` if a tube was fitted.
+    confidence : float
+        Minimum confidence of detections.
+    input_sizes : tuple of int
+        Long sides, pixels, that detector and pose network see; what they find at several is
+        merged. Empty for each network's own.
+    runtime : str
+        Runtime of the networks.
+    full_precision : bool
+        Networks in float32: the same lengths on every machine. Half precision is faster where
+        the processor has it, and moves outlines by a pixel or so.
+    reading : ReadOptions
+        Reading options.
+    calibration : Path, optional
+        A site's calibration file, applied to depth and rows.
+    accepted_m : tuple of float
+        Shortest and longest plausible fruit, metres, from the crop profile; by default those of a
+        long cucumber. Fruit outside get no length.
+    accepted_diameter_m : tuple of float
+        Smallest and largest plausible mean diameter, metres.
+    cut_beyond_m : float
+        Distance of the cut beyond the stem end, metres, from the crop profile.
+    camera_up : str, optional
+        The picture's edge that is up, 'top', 'left', 'right' or 'bottom', for a camera that is
+        mounted about level before hanging fruit; it takes the place of `Capture.gravity` where a
+        capture has none, and says which end is the stem's.
+    """
+
+    instances: str = "auto"
+    classes: tuple[str, ...] = ()
+    pose: Path | None = None
+    quick: bool = False
+    end_look: bool = True
+    segmenter: str | None = None
+    prompt: str = "box+point"
+    methods: tuple[str, ...] = ("all",)
+    selector: Selector = Selector.BEST
+    length: LengthDefinition = LengthDefinition.CENTRELINE
+    confidence: float = DEFAULT_CONFIDENCE
+    input_sizes: tuple[int, ...] = ()
+    runtime: str = "auto"
+    full_precision: bool = True
+    reading: ReadOptions = field(default_factory=ReadOptions)
+    calibration: Path | None = None
+    accepted_m: tuple[float, float] = (0.05, 0.80)
+    accepted_diameter_m: tuple[float, float] = (0.012, 0.07)
+    cut_beyond_m: float = CUT_BEYOND_M
+    camera_up: str | None = None
+
+    def __post_init__(self) -> None:
+        """Convert names to enumerations, and reject invalid values.
+
+        Raises
+        ------
+        CucumberVisionError
+            With the option, its value and the allowed values.
+        """
+        for name, kind in (("length", LengthDefinition), ("selector", Selector)):
+            object.__setattr__(self, name, _choice(name, getattr(self, name), kind))
+        classes: Any = self.classes
+        names = classes.split(",") if isinstance(classes, str) else classes
+        class_names = tuple(name.strip().casefold() for name in names if name.strip())
+        object.__setattr__(self, "classes", class_names)
+        object.__setattr__(self, "methods", _method_names(self.methods))
+        named = [("prompt", PROMPTS), ("runtime", RUNTIMES)]
+        if self.camera_up is not None:
+            named.append(("camera_up", tuple(GRAVITY_BY_EDGE)))
+        for name, allowed in named:
+            if getattr(self, name) not in allowed:
+                raise _no_choice(name, getattr(self, name), allowed)
+        if not 0 <= self.confidence <= 1:
+            raise _no_choice("confidence", self.confidence, ("a number from 0 to 1",))
+
+    def for_crop(self, profile: CropProfile) -> Self:
+        """Return the options with the plausible sizes and the cut of a crop."""
+        return replace(
+            self,
+            accepted_m=profile.accepted_m,
+            accepted_diameter_m=profile.accepted_diameter_m,
+            cut_beyond_m=profile.cut_cm / 100,
+        )
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the options as JSON values."""
+        values: dict[str, Any] = json_value(asdict(self))
+        return values
+
+    @property
+    def sha256(self) -> str:
+        """Hash of the options; equal options have equal hashes.
+
+        Examples
+        --------
+        >>> MeasureOptions().sha256 == MeasureOptions(confidence=0.31).sha256
+        False
+        """
+        text = json.dumps(self.as_json(), sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _choice(name: str, value: Any, kind: type[_Enum]) -> _Enum:
+    try:
+        return kind(value)
+    except ValueError:
+        raise _no_choice(name, value, tuple(map(str, kind))) from None
+
+
+def _method_names(methods: Any) -> tuple[str, ...]:
+    """Return names of the table for what people write: names, 'all', or 'm1,m5' as one text."""
+    listed = methods.split(",") if isinstance(methods, str) else methods
+    names = {str(name).strip().casefold() for name in listed}
+    table = tuple(plugins("methods"))
+    if names == {"all"}:
+        return table
+    for name in sorted(names - {name.casefold() for name in table}):
+        raise _no_choice("methods", name, table)
+    return tuple(name for name in table if name.casefold() in names)
+
+
+def _no_choice(name: str, value: Any, allowed: tuple[str, ...]) -> CucumberVisionError:
+    return CucumberVisionError(
+        f"{value!r} is not a valid value", source=name, remedy=f"give {' or '.join(allowed)}"
+    )
+
+
+TRUTH = "truth.csv"
+"""Lengths measured by hand, as `evaluate lengths` reads them."""
+
+
+@dataclass(frozen=True)
+class CropPack:
+    """A crop's folder.
+
+    Parameters
+    ----------
+    profile : CropProfile
+        The profile, from `profile.toml`.
+    segment, pose : Path, optional
+        Its networks, `NAME-seg.onnx` and `NAME-pose.onnx` as `train export` writes them; without
+        them, those of the package are used.
+    truth : Path, optional
+        Its `truth.csv`, if there is one.
+    """
+
+    profile: CropProfile
+    segment: Path | None = None
+    pose: Path | None = None
+    truth: Path | None = None
+
+    def options(self, options: MeasureOptions) -> MeasureOptions:
+        """Return options with the size limits, the cut and the networks of this crop.
+
+        Instances and keypoints chosen by the user are kept.
+        """
+        has_segmenter = options.instances in ("auto", "models") and self.segment is not None
+        return replace(
+            options.for_crop(self.profile),
+            instances=str(self.segment) if has_segmenter else options.instances,
+            pose=options.pose or self.pose,
+        )
+
+
+def read_pack(folder: Path) -> CropPack:
+    """Read a crop's folder.
+
+    Raises
+    ------
+    ProfileError
+        If `profile.toml` is missing or invalid.
+    ModelError
+        If there are two networks for one task.
+    ModelHashError
+        If a network does not match the card in the same folder.
+    """
+    profile = load_profile(folder / PACK_PROFILE)
+    truth = folder / TRUTH
+    segment, pose = (_network(folder, task) for task in ("seg", "pose"))
+    return CropPack(profile, segment, pose, truth if truth.is_file() else None)
+
+
+def _network(folder: Path, task: str) -> Path | None:
+    paths = sorted(folder.glob(f"*-{task}.onnx"))
+    if len(paths) > 1:
+        raise ModelError(
+            f"holds {len(paths)} networks *-{task}.onnx", source=folder, remedy="keep one"
+        )
+    for path in paths:
+        card = path.with_suffix(".json")
+        content = read_json(card, ModelError) if card.is_file() else {}
+        with wrap_os_errors("cannot be read", path, "put the network's file there", ModelError):
+            sha256 = file_sha256(path)
+        if isinstance(content, dict) and content.get("sha256") not in (None, sha256):
+            raise ModelHashError(
+                f"is not the network that {card.name} describes",
+                source=path,
+                remedy="export both again with `cucumbervision train export`",
+            )
+    return paths[0] if paths else None

@@ -1,0 +1,333 @@
+"""Draw measured or detected fruit, lines, outlines, scale bars and letters onto a picture."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, cast
+
+import cv2
+import numpy as np
+
+from cucumbervision.capture.frames import valid_depth
+from cucumbervision.fruit.masks import mask_window
+from cucumbervision.methods.paper_methods import MIN_VISIBILITY
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from cucumbervision.capture.frames import Capture
+    from cucumbervision.capture.intrinsics import Intrinsics
+    from cucumbervision.fruit.instance import Instance
+    from cucumbervision.methods.result import Fruit, Measurement
+
+# Okabe and Ito's palette, suitable for colour-blind people (RGB).
+COLORS = ((230, 159, 0), (86, 180, 233), (240, 228, 66), (204, 121, 167), (0, 158, 115))
+
+_WHITE, _BLACK = (255, 255, 255), (0, 0, 0)
+
+_TINT = 0.30
+
+_BAR_M = 0.10
+
+_FONT = cv2.FONT_HERSHEY_SIMPLEX
+_SUBPIXEL_BITS = 4  # of OpenCV's lines
+
+
+def draw_overlay(capture: Capture, fruit: Sequence[Fruit]) -> NDArray[np.uint8]:
+    """Draw each fruit's mask, measured line, tips and length, and a scale bar.
+
+    Parameters
+    ----------
+    capture : Capture
+        The frame; its colour picture is not changed.
+    fruit : sequence of Fruit
+        The fruit in it, measured, numbered from 1.
+
+    Returns
+    -------
+    ndarray of uint8, shape (H, W, 3)
+        RGB, the size of the capture.
+    """
+    picture = capture.color.copy()
+    size = max(capture.height / 720, 0.5)
+    for number, measured in enumerate(fruit, start=1):
+        color = COLORS[(number - 1) % len(COLORS)]
+        draw_region(picture, measured, color, size)
+        if measured.selected is not None and measured.selected.path_m is not None:
+            draw_path(picture, measured.selected, capture.intrinsics, color, size)
+    for number, measured in enumerate(fruit, start=1):
+        _draw_label(picture, _label(number, measured), measured.instance.box, size)
+    _draw_scale(picture, capture, fruit, size)
+    if capture.simulated:
+        draw_text(picture, "simulated capture", (int(12 * size), int(28 * size)), size)
+    return picture
+
+
+def draw_region(
+    picture: NDArray[np.uint8], fruit: Fruit, color: tuple[int, int, int], size: float
+) -> None:
+    """Tint a fruit's mask, or draw its box if it has none, in place.
+
+    Parameters
+    ----------
+    picture : ndarray of uint8, shape (H, W, 3)
+        RGB; changed.
+    fruit : Fruit
+        The fruit.
+    color : tuple of int
+        RGB.
+    size : float
+        Scale of the lines; 1 for a picture 720 pixels high.
+    """
+    if fruit.mask is None:
+        x1, y1, x2, y2 = (round(float(x)) for x in fruit.instance.box)
+        cv2.rectangle(picture, (x1, y1), (x2, y2), color, max(1, round(2 * size)), cv2.LINE_AA)
+        return
+    _tint_mask(picture, fruit.mask, color, size)
+
+
+def _tint_mask(
+    picture: NDArray[np.uint8], inside: NDArray[np.bool_], color: tuple[int, int, int], size: float
+) -> None:
+    """Tint a mask's pixels and draw its outline, in place; `size` scales the lines."""
+    window = mask_window(inside)
+    if window is None:
+        return
+    part, part_mask = picture[window], inside[window]
+    part[part_mask] = ((1 - _TINT) * part[part_mask] + _TINT * np.array(color)).astype(np.uint8)
+    for outline in mask_outlines(inside):
+        draw_polyline(picture, outline, color, max(1, round(1.5 * size)), closed=True)
+
+
+def mask_outlines(mask: NDArray[np.bool_]) -> list[NDArray[np.int32]]:
+    """Return the outer outline of each part of a mask: arrays of shape (N, 2), pixels.
+
+    Examples
+    --------
+    >>> mask = np.zeros((6, 6), bool)
+    >>> mask[1:5, 1:4] = True
+    >>> mask_outlines(mask)[0][:4].tolist()
+    [[1, 1], [1, 2], [1, 3], [1, 4]]
+    """
+    window = mask_window(mask)
+    if window is None:
+        return []
+    outlines, _ = cv2.findContours(
+        mask[window].astype(np.uint8),
+        cv2.RETR_EXTERNAL,
+        cv2.CHAIN_APPROX_NONE,
+        offset=(window[1].start, window[0].start),
+    )
+    return [outline.reshape(-1, 2).astype(np.int32) for outline in outlines]
+
+
+def path_px(path_m: ArrayLike | None, camera: Intrinsics) -> NDArray[np.float64] | None:
+    """Return a measured line in the picture, shape (N, 2); None without one before the camera."""
+    path = np.array([] if path_m is None else path_m, np.float64).reshape(-1, 3)
+    return None if len(path) < 2 or (path[:, 2] <= 0).any() else camera.project(path)
+
+
+def draw_path(
+    picture: NDArray[np.uint8],
+    chosen: Measurement,
+    camera: Intrinsics,
+    color: tuple[int, int, int],
+    size: float,
+) -> None:
+    """Draw the measured line with its tips, in place.
+
+    Parameters
+    ----------
+    picture : ndarray of uint8, shape (H, W, 3)
+        RGB; changed, unless the measurement has no line in front of the camera.
+    chosen : Measurement
+        The measurement.
+    camera : Intrinsics
+        Intrinsics of the picture.
+    color : tuple of int
+        RGB of the tips.
+    size : float
+        Scale of the lines; 1 for a picture 720 pixels high.
+    """
+    points = path_px(chosen.path_m, camera)
+    if points is not None:
+        draw_line(picture, points, color, size)
+
+
+def draw_polyline(
+    picture: NDArray[np.uint8],
+    points_px: NDArray[Any],
+    color: tuple[int, int, int],
+    width_px: int,
+    *,
+    closed: bool = False,
+) -> None:
+    """Draw a smooth line through points of shape (N, 2), in place."""
+    points = np.rint(points_px * 2**_SUBPIXEL_BITS).astype(np.int32)
+    cv2.polylines(picture, [points], closed, color, width_px, cv2.LINE_AA, _SUBPIXEL_BITS)
+
+
+def draw_line(
+    picture: NDArray[np.uint8],
+    points_px: NDArray[np.float64],
+    color: tuple[int, int, int],
+    size: float,
+) -> None:
+    """Draw a line (points of shape (N, 2)) with its tips in a colour, in place."""
+    draw_polyline(picture, points_px, _BLACK, max(2, round(4 * size)))
+    draw_polyline(picture, points_px, _WHITE, max(1, round(2 * size)))
+    for tip in (points_px[0], points_px[-1]):
+        centre_px = (round(float(tip[0])), round(float(tip[1])))
+        cv2.circle(picture, centre_px, max(3, round(6 * size)), _BLACK, -1, cv2.LINE_AA)
+        cv2.circle(picture, centre_px, max(2, round(4 * size)), color, -1, cv2.LINE_AA)
+
+
+def _label(number: int, fruit: Fruit) -> str:
+    length = fruit.length
+    if length is None:
+        return f"{number}: not measured ({fruit.reason})"
+    # A fruit that continues out of sight is longer than its visible part.
+    bound = "at least " if fruit.at_least else ""
+    return f"{number}: {bound}{100 * length.value_m:.1f} cm {length.kind}, {fruit.method}"
+
+
+def _draw_label(
+    picture: NDArray[np.uint8], label: str, box: NDArray[np.float64], size: float
+) -> None:
+    """Write a label above a box, or below it if there is no space, in place."""
+    (width, height), _ = cv2.getTextSize(label, _FONT, 0.65 * size, max(1, round(2 * size)))
+    x = float(np.clip(box[0], 4, max(4, picture.shape[1] - width - 8)))
+    above = box[1] - 10 * size
+    y = above if above > height + 6 else min(box[3] + height + 12 * size, picture.shape[0] - 8)
+    draw_text(picture, label, (int(x), int(y)), size)
+
+
+def draw_text(
+    picture: NDArray[np.uint8], text: str, corner_px: tuple[int, int], size: float
+) -> None:
+    """Write white letters on a darkened plate, their lower left corner at a pixel, in place."""
+    scale, thin = 0.65 * size, max(1, round(1.6 * size))
+    (width, height), below = cv2.getTextSize(text, _FONT, scale, thin)
+    pad = max(3, round(5 * size))
+    top, left_px = max(corner_px[1] - height - pad, 0), max(corner_px[0] - pad, 0)
+    plate = picture[top : corner_px[1] + below + pad, left_px : corner_px[0] + width + pad]
+    plate[:] = (0.35 * plate).astype(np.uint8)
+    cv2.putText(picture, text, corner_px, _FONT, scale, _WHITE, thin, cv2.LINE_AA)
+
+
+def _draw_scale(
+    picture: NDArray[np.uint8], capture: Capture, fruit: Sequence[Fruit], size: float
+) -> None:
+    depths = [np.median(d) for f in fruit if len(d := _fruit_depths(capture, f))]
+    if not depths:
+        return
+    depth = float(np.median(depths))
+    length_px = _BAR_M * capture.intrinsics.fx_px / depth
+    draw_bar(picture, length_px, f"{100 * _BAR_M:.0f} cm at {100 * depth:.0f} cm distance", size)
+
+
+def draw_bar(picture: NDArray[np.uint8], length_px: float, text: str, size: float) -> None:
+    """Draw a scale bar with its text into the lower left corner, in place."""
+    left_px, y = round(16 * size), picture.shape[0] - round(20 * size)
+    right = left_px + round(length_px)
+    for color, thick in ((_BLACK, round(8 * size)), (_WHITE, round(4 * size))):
+        cv2.line(picture, (left_px, y), (right, y), color, max(2, thick), cv2.LINE_AA)
+    draw_text(picture, text, (left_px, y - round(14 * size)), size)
+
+
+def _fruit_depths(capture: Capture, fruit: Fruit) -> NDArray[np.float32]:
+    if fruit.mask is None:
+        return np.empty(0, np.float32)
+    depths = capture.depth_m[fruit.mask]
+    return depths[valid_depth(depths)]
+
+
+def draw_detections(
+    color_rgb: NDArray[np.uint8], instances: Sequence[Instance]
+) -> NDArray[np.uint8]:
+    """Draw each fruit's mask, box, score and keypoints.
+
+    The stem end is a square, the blossom end a circle; keypoints of low visibility are hollow.
+
+    Parameters
+    ----------
+    color_rgb : ndarray of uint8, shape (H, W, 3)
+        The picture, which is not changed.
+    instances : sequence of Instance
+        Its fruit.
+
+    Returns
+    -------
+    ndarray of uint8, shape (H, W, 3)
+        RGB.
+
+    Examples
+    --------
+    >>> from cucumbervision.fruit.instance import Instance
+    >>> picture = np.zeros((60, 80, 3), np.uint8)
+    >>> drawn = draw_detections(picture, [Instance(np.array([9.5, 19.5, 49.5, 39.5]))])
+    >>> picture.any(), drawn[20:40, 10].any()
+    (np.False_, np.True_)
+    """
+    picture = color_rgb.copy()
+    size = max(max(picture.shape[:2]) / 1280, 0.5)
+    for number, instance in enumerate(instances):
+        color = COLORS[number % len(COLORS)]
+        mask = instance.detector_mask if instance.mask is None else instance.mask
+        if mask is not None:
+            _tint_mask(picture, mask, color, size)
+        x1, y1, x2, y2 = (round(float(edge)) for edge in instance.box)
+        cv2.rectangle(picture, (x1, y1), (x2, y2), color, max(1, round(1.5 * size)), cv2.LINE_AA)
+        if instance.keypoints is not None:
+            _draw_keypoints(picture, instance.keypoints, color, size)
+    for instance in instances:
+        _draw_label(picture, f"{instance.class_name} {instance.confidence:.2f}", instance.box, size)
+    return picture
+
+
+def _draw_keypoints(
+    picture: NDArray[np.uint8],
+    keypoints: NDArray[np.float64],
+    color: tuple[int, int, int],
+    size: float,
+) -> None:
+    points = np.rint(keypoints[:, :2]).astype(np.int32)
+    draw_polyline(picture, points, _BLACK, max(2, round(3 * size)))
+    draw_polyline(picture, points, _WHITE, max(1, round(1.5 * size)))
+    is_visible = keypoints[:, 2] >= MIN_VISIBILITY
+    last = len(points) - 1
+    for k, ((u, v), visible) in enumerate(zip(points.tolist(), is_visible.tolist(), strict=True)):
+        radius = max(3, round((7 if k in (0, last) else 4) * size))
+        for reach, shade in ((radius, _BLACK), (radius - max(1, round(2 * size)), color)):
+            width = -1 if visible or shade == _BLACK else max(1, round(size))
+            if k == last:
+                corners = (u - reach, v - reach), (u + reach, v + reach)
+                cv2.rectangle(picture, *corners, shade, width, cv2.LINE_AA)
+            else:
+                cv2.circle(picture, (u, v), reach, shade, width, cv2.LINE_AA)
+
+
+def as_jpeg(picture: NDArray[np.uint8], widest_px: int = 1280, quality: int = 85) -> bytes:
+    """Return a picture as a JPEG, scaled down to a width where it is wider.
+
+    Parameters
+    ----------
+    picture : ndarray of uint8, shape (H, W, 3)
+        RGB.
+    widest_px : int
+        The width.
+    quality : int
+        Of the JPEG, up to 100.
+
+    Examples
+    --------
+    >>> as_jpeg(np.zeros((4, 4, 3), np.uint8))[:3].hex()
+    'ffd8ff'
+    """
+    if picture.shape[1] > widest_px:
+        height = round(picture.shape[0] * widest_px / picture.shape[1])
+        small = cv2.resize(picture, (widest_px, height), interpolation=cv2.INTER_AREA)
+        picture = cast("NDArray[np.uint8]", small)
+    bgr = cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
+    return cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()

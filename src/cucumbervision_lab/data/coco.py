@@ -1,0 +1,375 @@
+"""Read and write data sets in COCO format, with additional keys in `annotations.json`.
+
+The origin of COCO is the picture's corner, that of `Label` the centre of the first pixel: half a
+pixel is added when writing and subtracted when reading. Other tools ignore the additional keys
+and read the file as COCO with keypoints.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cucumbervision.capture.camera_file import CameraModel
+from cucumbervision.capture.pictures import MOST_PIXELS
+from cucumbervision.errors import CucumberVisionError, DataSetError, InstancesError
+from cucumbervision.files import parse_model, read_json
+from cucumbervision.fruit.instance import KEYPOINT_NAMES, SKELETON
+from cucumbervision.fruit.label_files import LabelledImage, entry_or_error, parse_coco
+from cucumbervision.fruit.mask_codes import Rle
+from cucumbervision_lab.data.labels import (
+    SPLIT_FOLDERS,
+    DataSet,
+    Label,
+    LabelledPicture,
+    flat_names,
+    labels_of,
+    place_file,
+    ticked,
+    write_text,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+ANNOTATIONS = "annotations.json"
+
+FRAGMENTS = "fragments"
+"""Subfolder of the labels of single pictures."""
+ROBOFLOW = "_annotations.coco.json"
+
+
+def read_coco(path: Path) -> DataSet:
+    """Read a data set in COCO format.
+
+    Parameters
+    ----------
+    path : Path
+        A folder with `annotations.json`; a Roboflow export with `_annotations.coco.json` in train/,
+        valid/ and test/; or a COCO file with pictures in its folder or in images/.
+
+    Returns
+    -------
+    DataSet
+        Invalid annotations are listed in `refused`. Crowd regions become ignored labels.
+
+    Raises
+    ------
+    CucumberVisionError
+        If the file does not exist or is not in COCO format.
+    """
+    root = path if path.is_dir() else path.parent
+    names: list[str] = []
+    pictures: list[LabelledPicture] = []
+    refused: list[CucumberVisionError] = []
+    for file, split in _find(path):
+        data = read_json(file)
+        if not isinstance(data, dict):
+            raise DataSetError("has no list of images", source=file, remedy="give COCO JSON")
+        content = parse_coco(data, file)
+        names += [name for name in content.class_names if name not in names]
+        refused += content.refused
+        for image in content.pictures:
+            place = f"image {image.number or image.name}"
+            read = entry_or_error(place, file, _picture, image, names, file, split, root)
+            if isinstance(read, InstancesError):
+                refused.append(read)
+            else:
+                pictures.append(read[0])
+                refused += read[1]
+    return DataSet(root, tuple(pictures), tuple(names), tuple(refused))
+
+
+def _find(path: Path) -> list[tuple[Path, str]]:
+    if path.is_file():
+        return [(path, "")]
+    if (path / ANNOTATIONS).is_file():
+        return [(path / ANNOTATIONS, "")]
+    places = {path / folder / ROBOFLOW: split for folder, split in SPLIT_FOLDERS.items()}
+    places[path / ROBOFLOW] = ""
+    annotations = [(file, split) for file, split in places.items() if file.is_file()]
+    if not annotations:
+        raise DataSetError(
+            f"holds neither {ANNOTATIONS} nor train/{ROBOFLOW}",
+            source=path,
+            remedy="give a COCO file or a folder that holds one",
+        )
+    return annotations
+
+
+def _picture(
+    image: LabelledImage,
+    names: Sequence[str],
+    file: Path,
+    split: str = "",
+    root: Path | None = None,
+) -> tuple[LabelledPicture, list[InstancesError]]:
+    """Return a labelled picture with the errors of its invalid annotations.
+
+    Without the data set's folder `root`, the file name is not resolved.
+    """
+    entry = image.entry
+    if not entry:
+        raise ValueError(f"has {len(image.records)} annotations but is not listed")
+    width, height = image.size_px or (int(entry["width"]), int(entry["height"]))
+    name = str(entry["file_name"]).replace("\\", "/")
+    if min(width, height) < 1 or width * height > MOST_PIXELS:
+        raise ValueError(f"its size {width}x{height} is out of range")
+    labels, refused = labels_of(image, width, height, names, file)
+    camera = None
+    if entry.get("camera"):
+        camera = parse_model(CameraModel, entry["camera"], source=file).intrinsics
+    return LabelledPicture(
+        file=name if root is None else _place(name, file.parent, root),
+        width=width,
+        height=height,
+        labels=labels,
+        scene=str(entry.get("scene", "")),
+        split=str(entry.get("split", split)),
+        source=str(entry.get("source", "")),
+        licence=str(entry.get("licence", "")),
+        depth_file=entry.get("depth_file"),
+        depth_unit_m=float(entry.get("depth_unit_m", 0.001)),
+        camera=camera,
+        extras=dict(entry.get("extras", {})),
+    ), refused
+
+
+def _place(name: str, folder: Path, root: Path) -> str:
+    for place in (folder / name, folder / "images" / name, folder.parent / "images" / name):
+        if place.is_file() and place.is_relative_to(root):
+            return place.relative_to(root).as_posix()
+    return (folder / name).relative_to(root).as_posix()
+
+
+def collect_fragments(folder: Path) -> DataSet:
+    """Read the fragments of a data set in the order of their file names.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the data set; picture names are relative to it.
+
+    Returns
+    -------
+    DataSet
+        The combined data set; write it with `write_coco(dataset, folder)`. Errors of damaged
+        fragments are listed in `refused`.
+    """
+    pictures: list[LabelledPicture] = []
+    refused: list[CucumberVisionError] = []
+    for file in sorted((folder / FRAGMENTS).glob("*.json")):
+        read = entry_or_error("fragment", file, read_fragment, file)
+        if isinstance(read, InstancesError):
+            refused.append(read)
+        else:
+            pictures.append(read[0])
+            refused += read[1]
+    return DataSet(folder, tuple(pictures), refused=tuple(refused))
+
+
+def read_fragment(file: Path) -> tuple[LabelledPicture, list[InstancesError]]:
+    """Read the labels of one picture that `write_fragment` wrote, with the errors of some.
+
+    Raises
+    ------
+    CucumberVisionError, KeyError, TypeError, ValueError
+        If it is not a fragment.
+    """
+    data = read_json(file)
+    content = {
+        "images": [{**data["image"], "id": 1}],
+        "annotations": [{**item, "image_id": 1} for item in data["annotations"]],
+        "categories": [{"id": 1, "name": "cucumber"}],
+    }
+    (image,) = parse_coco(content, file).pictures
+    return _picture(image, ["cucumber"], file)
+
+
+_DIGITS = 3  # decimal places of pixels, far below the accuracy of labels
+
+
+def write_coco(
+    dataset: DataSet,
+    folder: Path,
+    *,
+    progress: Callable[[int], None] | None = None,
+) -> DataSet:
+    """Write a data set in COCO format: `images/`, `depth/` and `annotations.json`.
+
+    Parameters
+    ----------
+    dataset : DataSet
+        Data set to write. If `folder` is its own folder, only `annotations.json` is rewritten.
+    folder : Path
+        Output folder; created if missing.
+    progress : callable, optional
+        Called with 1 after each picture.
+
+    Returns
+    -------
+    DataSet
+        The data set in `folder`.
+
+    Raises
+    ------
+    DataSetError
+        If a picture is missing or the folder is not writable.
+    """
+    pictures = dataset.pictures
+    if folder.resolve() != dataset.folder.resolve():
+        pictures = _place_all(dataset, folder, progress)
+    images: list[dict[str, Any]] = []
+    annotations: list[dict[str, Any]] = []
+    for number, picture in enumerate(pictures, 1):
+        fragment = _fragment(picture)
+        images.append({"id": number, **fragment["image"]})
+        for item in fragment["annotations"]:
+            annotations.append({"id": len(annotations) + 1, "image_id": number, **item})
+    data = {
+        "info": {"description": "CucumberVision data set", "version": "1"},
+        "categories": _categories(dataset),
+        "images": images,
+        "annotations": annotations,
+    }
+    write_text(folder / ANNOTATIONS, _json(data))
+    return replace(dataset, folder=folder, pictures=tuple(pictures), refused=())
+
+
+def write_fragment(picture: LabelledPicture, file: Path) -> Path:
+    """Write the labels of one picture to a JSON file of its own.
+
+    Intended for parallel generators that may be interrupted: each frame is written atomically, and
+    `collect_fragments` combines them.
+
+    Parameters
+    ----------
+    picture : LabelledPicture
+        The picture; its image file should already exist.
+    file : Path
+        Output file ending in .json, such as `set/fragments/000001.json`.
+
+    Returns
+    -------
+    Path
+        `file`.
+
+    Raises
+    ------
+    DataSetError
+        If the file cannot be written.
+    """
+    write_text(file, _json(_fragment(picture)))
+    return file
+
+
+def _place_all(
+    dataset: DataSet, folder: Path, progress: Callable[[int], None] | None
+) -> tuple[LabelledPicture, ...]:
+    placed = []
+    names = flat_names(p.file for p in dataset.pictures)
+    for picture in ticked(dataset.pictures, progress):
+        name = names[picture.file]
+        place_file(dataset.path(picture), folder / "images" / name)
+        depth = picture.depth_file
+        if depth is not None:
+            target = PurePosixPath("depth", PurePosixPath(name).stem + PurePosixPath(depth).suffix)
+            place_file(dataset.folder / depth, folder / target)
+            depth = str(target)
+        placed.append(replace(picture, file=f"images/{name}", depth_file=depth))
+    return tuple(placed)
+
+
+def _categories(dataset: DataSet) -> list[dict[str, Any]]:
+    return [
+        {
+            "id": k + 1,
+            "name": name,
+            "supercategory": "fruit",
+            "keypoints": list(KEYPOINT_NAMES),
+            "skeleton": [[a + 1, b + 1] for a, b in SKELETON],
+        }
+        for k, name in enumerate(dataset.categories)
+    ]
+
+
+def _fragment(picture: LabelledPicture) -> dict[str, Any]:
+    image: dict[str, Any] = {
+        "file_name": picture.file,
+        "width": picture.width,
+        "height": picture.height,
+        "scene": picture.scene,
+        "split": picture.split,
+        "source": picture.source,
+        "licence": picture.licence,
+    }
+    if picture.depth_file is not None:
+        image |= {"depth_file": picture.depth_file, "depth_unit_m": picture.depth_unit_m}
+    if picture.camera is not None:
+        image["camera"] = CameraModel.of(picture.camera).model_dump(mode="json")
+    if picture.extras:
+        image["extras"] = dict(picture.extras)
+    return {"image": image, "annotations": [_annotation(label) for label in picture.labels]}
+
+
+def _annotation(label: Label) -> dict[str, Any]:
+    x1, y1, x2, y2 = (float(v) for v in label.box)
+    size = x2 - x1, y2 - y1
+    area = size[0] * size[1] if label.mask_code is None else label.mask_code.area_px
+    item: dict[str, Any] = {
+        "category_id": label.category + 1,
+        "bbox": [round(v, _DIGITS) for v in (x1 + 0.5, y1 + 0.5, *size)],
+        "area": round(area, _DIGITS),
+        # COCO's evaluation skips crowd regions, as required for ignored labels.
+        "iscrowd": int(label.ignore),
+        "segmentation": [] if label.mask_code is None else _code(label.mask_code),
+        "ignore": int(label.ignore),
+        "pseudo": label.pseudo,
+        "cut_off": label.cut_off,
+    }
+    if label.hidden_share is not None:
+        item["hidden_share"] = label.hidden_share
+    if label.amodal_code is not None:
+        item["amodal_segmentation"] = _code(label.amodal_code)
+    if label.keypoints is not None:
+        item |= _keypoints(label.keypoints)
+    if label.extras:
+        item["extras"] = dict(label.extras)
+    return item
+
+
+def _keypoints(points: np.ndarray[Any, np.dtype[np.float64]]) -> dict[str, Any]:
+    labelled = points[:, 2] > 0
+    # COCO writes unlabelled keypoints as 0, 0, 0.
+    written = np.where(labelled[:, None], points + np.array([0.5, 0.5, 0.0]), 0.0)
+    flat = [
+        int(v) if k % 3 == 2 else round(float(v), _DIGITS) for k, v in enumerate(written.ravel())
+    ]
+    keys: dict[str, Any] = {"keypoints": flat, "num_keypoints": int(labelled.sum())}
+    if (points[~labelled] != 0).any():
+        # Synthetic fruit have known keypoints outside the picture.
+        keys["keypoints_px"] = np.round(points, _DIGITS).tolist()
+    return keys
+
+
+def _code(code: Rle) -> dict[str, Any]:
+    return {"size": [code.height, code.width], "counts": code.counts}
+
+
+def _json(data: Any) -> str:
+    try:
+        # `default` converts NumPy numbers and arrays.
+        return (
+            json.dumps(
+                data, ensure_ascii=False, allow_nan=False, default=lambda array: array.tolist()
+            )
+            + "\n"
+        )
+    except (AttributeError, TypeError, ValueError) as error:
+        raise DataSetError(
+            f"labels cannot be written as JSON ({error})", remedy="use finite numbers"
+        ) from error

@@ -1,0 +1,446 @@
+"""Labelled pictures and data sets, and helpers for their files."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+
+from cucumbervision.capture.pictures import COLOR_SUFFIXES, MOST_PIXELS, read_color
+from cucumbervision.errors import CaptureError, DataSetError, InstancesError
+from cucumbervision.files import read_bytes
+from cucumbervision.fruit.label_files import entry_or_error
+from cucumbervision.fruit.mask_codes import Rle, mask_of_segmentation
+from cucumbervision.fruit.masks import box_of_mask
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from cucumbervision.capture.intrinsics import Intrinsics
+    from cucumbervision.errors import CucumberVisionError
+    from cucumbervision.fruit.label_files import LabelledImage, LabelledInstance
+
+KEYPOINT_ORDER = "keypoint_order"
+"""Key in a label's extras: 'place' if its keypoints are ordered by position in the picture."""
+
+SPLITS = ("train", "val", "test")
+SPLIT_FOLDERS = {"train": "train", "val": "val", "valid": "val", "test": "test"}
+"""The split of a folder's pictures, by its name."""
+
+Item = TypeVar("Item")
+
+
+@dataclass(frozen=True, eq=False)
+class Label:
+    """Label of one fruit.
+
+    Parameters
+    ----------
+    box : ndarray of float64, shape (4,)
+        x1, y1, x2, y2 of the box's edges in pixels; (0, 0) is the centre of the top-left pixel,
+        so a box over the whole picture runs from -0.5 to W - 0.5.
+    category : int
+        Index into `DataSet.categories`.
+    mask_code : Rle, optional
+        The visible pixels; `mask` decodes it.
+    amodal_code : Rle, optional
+        The pixels that would be visible if nothing hid the fruit; `amodal` decodes it.
+    keypoints : ndarray of float64, shape (5, 3), optional
+        u, v in pixels and visibility 0 (not labelled or outside), 1 (hidden), 2 (seen) of KP0
+        (blossom end) to KP4 (stem end).
+    hidden_share : float, optional
+        Occluded share of the amodal pixels, 0 to 1, if known.
+    cut_off : bool
+        Whether the fruit extends beyond the picture.
+    ignore : bool
+        Excluded from training and evaluation, such as a slice or an incompletely labelled crate.
+    pseudo : bool
+        Whether the mask was predicted by a network.
+    extras : mapping of str to JSON values
+        Further values: centreline_m, thread_m, chord_m, distance_m, tilt_deg, axis_m, radius_m.
+
+    Examples
+    --------
+    >>> mask = np.zeros((4, 6), bool)
+    >>> mask[1, 2:5] = True
+    >>> label = Label.of_mask(mask)
+    >>> label.box.tolist(), label.mask.sum(), label.amodal is None
+    ([1.5, 0.5, 4.5, 1.5], np.int64(3), True)
+    """
+
+    box: NDArray[np.float64]
+    category: int = 0
+    mask_code: Rle | None = None
+    amodal_code: Rle | None = None
+    keypoints: NDArray[np.float64] | None = None
+    hidden_share: float | None = None
+    cut_off: bool = False
+    ignore: bool = False
+    pseudo: bool = False
+    extras: Mapping[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def of_mask(
+        cls,
+        mask: NDArray[np.bool_],
+        *,
+        amodal: NDArray[np.bool_] | None = None,
+        **rest: Any,
+    ) -> Label:
+        """Create a label from masks; the box is that of the visible mask.
+
+        Parameters
+        ----------
+        mask : ndarray of bool, shape (H, W)
+            The visible pixels, at least one.
+        amodal : ndarray of bool, shape (H, W), optional
+            The pixels of the complete fruit.
+        **rest
+            Other fields of the label.
+
+        Raises
+        ------
+        ValueError
+            If the mask is empty.
+        """
+        code = Rle.of(mask) if mask.any() else None
+        amodal_code = None if amodal is None else Rle.of(amodal)
+        return cls(box_of_mask(mask), mask_code=code, amodal_code=amodal_code, **rest)
+
+    @property
+    def mask(self) -> NDArray[np.bool_] | None:
+        """The visible pixels, bool, shape (H, W); decoded on each access."""
+        return None if self.mask_code is None else self.mask_code.decode()
+
+    @property
+    def amodal(self) -> NDArray[np.bool_] | None:
+        """The pixels of the complete fruit, bool, shape (H, W); decoded on each access."""
+        return None if self.amodal_code is None else self.amodal_code.decode()
+
+
+@dataclass(frozen=True, eq=False)
+class LabelledPicture:
+    """A picture and its labels.
+
+    Parameters
+    ----------
+    file : str
+        Path relative to the set's folder, with '/': 'images/000001.jpg'.
+    width, height : int
+        Size in pixels.
+    labels : tuple of Label
+        Labels; empty for background only.
+    scene : str
+        Group of near-duplicates; all pictures of a scene belong to one split.
+    split : str
+        'train', 'val', 'test', or '' if unassigned.
+    source : str
+        Origin of the picture: 'synth' or a publisher's set.
+    licence : str
+        Licence stated by the source.
+    depth_file : str, optional
+        Path relative to the set's folder: 16-bit PNG, 0 = no reading.
+    depth_unit_m : float
+        Metres per step of `depth_file`.
+    camera : Intrinsics, optional
+        Intrinsics of the colour camera, to which depth is aligned.
+    extras : mapping of str to JSON values
+        Further values of the picture.
+    """
+
+    file: str
+    width: int
+    height: int
+    labels: tuple[Label, ...] = ()
+    scene: str = ""
+    split: str = ""
+    source: str = ""
+    licence: str = ""
+    depth_file: str | None = None
+    depth_unit_m: float = 0.001
+    camera: Intrinsics | None = None
+    extras: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def shows_fruit(self) -> bool:
+        """Whether the picture has a label that is not ignored."""
+        return any(not label.ignore for label in self.labels)
+
+
+@dataclass(frozen=True, eq=False)
+class DataSet:
+    """Labelled pictures in one folder.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder that picture names are relative to.
+    pictures : tuple of LabelledPicture
+        Pictures in file order.
+    categories : tuple of str
+        Class names; `Label.category` is an index into them.
+    refused : tuple of CucumberVisionError
+        Errors of labels and pictures that a reader skipped.
+    """
+
+    folder: Path
+    pictures: tuple[LabelledPicture, ...]
+    categories: tuple[str, ...] = ("cucumber",)
+    refused: tuple[CucumberVisionError, ...] = ()
+
+    def path(self, picture: LabelledPicture) -> Path:
+        """Return the path of a picture."""
+        return self.folder / picture.file
+
+    def in_split(self, split: str) -> tuple[LabelledPicture, ...]:
+        """Return the pictures of one split.
+
+        Examples
+        --------
+        >>> picture = LabelledPicture("images/a.png", 64, 48, split="val")
+        >>> data = DataSet(Path("set"), (picture,))
+        >>> len(data.in_split("val")), len(data.in_split("train"))
+        (1, 0)
+        """
+        return tuple(p for p in self.pictures if p.split == split)
+
+
+def labels_of(
+    image: LabelledImage, width: int, height: int, names: Sequence[str], source: Path
+) -> tuple[tuple[Label, ...], list[InstancesError]]:
+    """Return the labels of a picture of a label file, and the errors of those that are invalid.
+
+    Parameters
+    ----------
+    image : LabelledImage
+        As `instances.label_files` reads it.
+    width, height : int
+        The picture's size in pixels.
+    names : sequence of str
+        The categories.
+    source : Path
+        The label file, for error messages.
+    """
+    labels: list[Label] = []
+    refused: list[InstancesError] = []
+    for record in image.records:
+        label = (
+            record
+            if isinstance(record, InstancesError)
+            else entry_or_error(record.where, source, _label, record, width, height, names)
+        )
+        if isinstance(label, InstancesError):
+            refused.append(label)
+        else:
+            labels.append(label)
+    return tuple(labels), refused
+
+
+def _label(record: LabelledInstance, width: int, height: int, names: Sequence[str]) -> Label:
+    if record.class_name not in names:
+        raise ValueError(f"its category {record.class_name} is not listed")
+    size, slack = np.array([width, height]), 1.0  # tools round boxes to whole pixels
+    box = np.zeros(4) if record.box is None or record.normalised else record.box
+    if (box[:2] < -slack).any() or (box[2:] > size + slack).any():
+        raise ValueError(f"its box extends beyond the picture of {width}x{height}")
+    instance, _ = record.in_picture(width, height)
+    entry, points = record.entry, instance.keypoints
+    if points is not None:
+        points = points * [1, 1, 2]
+        points[points[:, 2] == 0] = 0
+    if entry.get("keypoints_px"):
+        points = np.array(entry["keypoints_px"], np.float64).reshape(5, 3)
+    if points is not None and not np.isin(points[:, 2], (0, 1, 2)).all():
+        raise ValueError("a keypoint's visibility is not 0, 1 or 2")
+    amodal, hidden = entry.get("amodal_segmentation"), entry.get("hidden_share")
+    return Label(
+        box=instance.box,
+        category=names.index(record.class_name),
+        mask_code=None if instance.mask is None else Rle.of(instance.mask),
+        amodal_code=Rle.of(mask_of_segmentation(amodal, height, width)) if amodal else None,
+        keypoints=points,
+        hidden_share=None if hidden is None else float(hidden),
+        cut_off=bool(entry.get("cut_off", False)),
+        ignore=bool(entry.get("ignore") or record.is_crowd),
+        pseudo=bool(entry.get("pseudo", False)),
+        extras=dict(entry.get("extras", {})),
+    )
+
+
+def keep_classes(dataset: DataSet, keep: Mapping[str, str]) -> DataSet:
+    """Rename and merge classes, and remove all others.
+
+    Parameters
+    ----------
+    dataset : DataSet
+        Data set to change; labels of removed classes become background.
+    keep : mapping of str to str
+        New name by name, or number from 0, of each class to keep; classes with the same new name
+        are merged.
+
+    Raises
+    ------
+    DataSetError
+        If a class does not exist.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> import numpy as np
+    >>> from cucumbervision_lab.data.labels import DataSet, Label, LabelledPicture
+    >>> labels = tuple(Label(np.array([0.0, 0, 9, 9]), category=k) for k in (0, 1))
+    >>> data = DataSet(Path("x"), (LabelledPicture("a", 64, 48, labels),), ("zucchini", "carrot"))
+    >>> cucumbers = keep_classes(data, {"zucchini": "cucumber"})
+    >>> cucumbers.categories, len(cucumbers.pictures[0].labels)
+    (('cucumber',), 1)
+    """
+    names = dataset.categories
+    unknown = [k for k in keep if k not in names and not (k.isdecimal() and int(k) < len(names))]
+    if unknown:
+        raise DataSetError(
+            f"unknown class {', '.join(unknown)}", remedy=f"use one of {', '.join(names)}"
+        )
+    categories = tuple(dict.fromkeys(keep.values()))
+    new_names = {k: keep.get(name, keep.get(str(k))) for k, name in enumerate(names)}
+    index = {k: categories.index(new) for k, new in new_names.items() if new is not None}
+    pictures = tuple(
+        replace(
+            p,
+            labels=tuple(
+                replace(x, category=index[x.category]) for x in p.labels if x.category in index
+            ),
+        )
+        for p in dataset.pictures
+    )
+    return replace(dataset, pictures=pictures, categories=categories)
+
+
+_SOF = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+
+
+def ticked(items: Iterable[Item], progress: Callable[[int], None] | None) -> Iterator[Item]:
+    """Yield items, and call `progress` with 1 after each one."""
+    for item in items:
+        yield item
+        if progress is not None:
+            progress(1)
+
+
+def list_pictures(folder: Path) -> list[Path]:
+    """Return all pictures in a folder and its subfolders, sorted."""
+    return sorted(p for p in folder.rglob("*") if p.suffix.lower() in COLOR_SUFFIXES)
+
+
+def picture_size(path: Path) -> tuple[int, int]:
+    """Return a picture's width and height; for PNG and JPEG from the header only.
+
+    Raises
+    ------
+    CaptureError
+        If the file is missing, is not a picture, or has more than `MOST_PIXELS`.
+
+    Notes
+    -----
+    PNG: ISO/IEC 15948, 11.2.2. JPEG: ITU-T T.81, B.2.2. An EXIF orientation is not applied.
+    """
+    data = read_bytes(path)
+    size = _jpeg_size(data) if data.startswith(b"\xff\xd8") else None
+    if data.startswith(b"\x89PNG\r\n\x1a\n") and len(data) >= 24:
+        size = int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
+    if size is None:
+        height, width = read_color(path).shape[:2]
+        return width, height
+    if size[0] * size[1] > MOST_PIXELS:  # masks are allocated with this size
+        fault = f"has more than {MOST_PIXELS / 1e6:g} million pixels"
+        raise CaptureError(fault, source=path, remedy="give a smaller picture")
+    return size
+
+
+def _jpeg_size(data: bytes) -> tuple[int, int] | None:
+    offset = 2
+    while offset + 9 < len(data) and data[offset] == 0xFF:
+        marker = data[offset + 1]
+        if marker in _SOF:
+            height, width = data[offset + 5 : offset + 7], data[offset + 7 : offset + 9]
+            return int.from_bytes(width, "big"), int.from_bytes(height, "big")
+        # Fill bytes may precede a marker.
+        offset += 1 if marker == 0xFF else 2 + int.from_bytes(data[offset + 2 : offset + 4], "big")
+    return None
+
+
+def flat_names(files: Iterable[str]) -> dict[str, str]:
+    """Return a unique name without folders for every file, unique also without the suffix.
+
+    Examples
+    --------
+    >>> flat_names(["images/a.jpg", "train/a.png", "images/b.jpg"])
+    {'images/a.jpg': 'a.jpg', 'train/a.png': 'train_a.png', 'images/b.jpg': 'b.jpg'}
+    """
+    taken: set[str] = set()
+    names: dict[str, str] = {}
+    for file in files:
+        path = PurePosixPath(file)
+        name = path.name
+        if path.stem.lower() in taken:
+            name = "_".join(part for part in path.parts if part != "images")
+        number = 2
+        while PurePosixPath(name).stem.lower() in taken:
+            name, number = f"{path.stem}_{number}{path.suffix}", number + 1
+        taken.add(PurePosixPath(name).stem.lower())
+        names[file] = name
+    return names
+
+
+def place_file(source: Path, target: Path) -> None:
+    """Create a hard link to a file, or a copy if the file system supports none.
+
+    Raises
+    ------
+    DataSetError
+        If the source is missing or the target cannot be written.
+    """
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        if target.exists() and target.samefile(source):
+            return
+        target.unlink(missing_ok=True)
+        try:
+            os.link(source, target)
+        except FileNotFoundError:
+            raise
+        except OSError:  # another disk, or a file system without links
+            shutil.copyfile(source, target)
+    except FileNotFoundError:
+        raise DataSetError(
+            "the file is missing", source=source, remedy="copy the data set again"
+        ) from None
+    except OSError as error:
+        raise DataSetError(
+            f"cannot be written ({error.strerror})", source=target, remedy="choose another folder"
+        ) from None
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file atomically.
+
+    Raises
+    ------
+    DataSetError
+        If the file cannot be written.
+    """
+    part = path.with_name(f"{path.name}.part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part.write_text(text, encoding="utf-8")
+        part.replace(path)
+    except OSError as error:
+        raise DataSetError(
+            f"cannot be written ({error.strerror})", source=path, remedy="choose another folder"
+        ) from None

@@ -1,0 +1,441 @@
+"""Compose random scenes: fruit on the plant, on a bench or in a crate, with a handheld camera.
+
+All bodies are in camera coordinates. The roles of leaves and rods are stored for the renderer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cucumbervision_lab.scenes.bodies import Variety, random_fruit, rotation
+from cucumbervision_lab.scenes.placing import (
+    NEAREST_M,
+    Ground,
+    crate_rods,
+    in_front,
+    occlude,
+    place_hanging,
+    place_lying,
+    trellis,
+)
+from cucumbervision_lab.scenes.raycast import Leaf, Stem
+from cucumbervision_lab.scenes.scene import Scene
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from cucumbervision.capture.intrinsics import Intrinsics
+    from cucumbervision_lab.scenes.bodies import Tube
+
+MOST_FRUIT = 12
+_TRIES = 30
+_LENGTHS_M = {
+    Variety.LONG: (0.25, 0.40),
+    Variety.MEDIUM: (0.18, 0.25),
+    Variety.MINI: (0.12, 0.18),
+    Variety.SMALL: (0.06, 0.12),
+}
+# Of fruit that are bent to a bow; of scenes with a petiole, a stem or a pipe across a fruit.
+_BOW_SHARE, _PETIOLE_SHARE, _STEM_SHARE, _PIPE_SHARE = 0.1, 0.25, 0.25, 0.1
+# Frequency of each variety, and its distance range: small fruit are viewed from nearby.
+_SHARES = {Variety.LONG: 0.42, Variety.MEDIUM: 0.28, Variety.MINI: 0.2, Variety.SMALL: 0.1}
+_REACH_M = {
+    Variety.LONG: (0.42, 1.2),
+    Variety.MEDIUM: (0.36, 1.1),
+    Variety.MINI: (0.32, 0.9),
+    Variety.SMALL: (0.3, 0.7),
+}
+
+
+class Setting(StrEnum):
+    """Setting of a scene."""
+
+    HANGING = "hanging"
+    BENCH = "bench"
+    CRATE = "crate"
+
+
+@dataclass(frozen=True, eq=False)
+class Composition:
+    """A composed scene with the roles of its bodies.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene in camera coordinates.
+    setting : Setting
+        Setting of the scene.
+    variety : Variety
+        Variety of all cucumbers.
+    cucumber : tuple of bool
+        Whether each body of `scene.fruit` is a cucumber; the others are decoys.
+    leaf_roles, stem_roles : tuple of str
+        'leaf' or 'blossom'; 'stem', 'stalk', 'string', 'blossom' or 'crate'.
+    up : tuple of float
+        Unit vector against gravity, camera coordinates.
+    """
+
+    scene: Scene
+    setting: Setting
+    variety: Variety
+    cucumber: tuple[bool, ...]
+    leaf_roles: tuple[str, ...]
+    stem_roles: tuple[str, ...]
+    up: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Difficulty:
+    """How difficult a scene is for a detector.
+
+    Parameters
+    ----------
+    nearer, farther : float
+        Factors for the minimum and maximum distance.
+    stop : float
+        Parameter of the geometric distribution of the number of fruit on a plant or bench.
+    most : int
+        Maximum number of fruit.
+    covered : float
+        Probability that a leaf occludes a fruit on the plant.
+    leaves : float
+        Factor for the number of loose leaves in the foreground.
+    """
+
+    nearer: float = 1.0
+    farther: float = 1.0
+    stop: float = 0.28
+    most: int = MOST_FRUIT
+    covered: float = 0.45
+    leaves: float = 1.0
+
+
+PLAIN = Difficulty()
+"""Difficulty of test scenes."""
+
+HARD = Difficulty(nearer=0.75, farther=1.9, stop=0.16, most=18, covered=0.65, leaves=1.5)
+"""Difficulty for training: smaller and larger fruit, more crowded and more occluded."""
+
+
+def compose(
+    rng: np.random.Generator,
+    camera: Intrinsics,
+    setting: Setting | str,
+    difficulty: Difficulty = PLAIN,
+) -> Composition:
+    """Compose a random scene.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Random generator.
+    camera : Intrinsics
+        The camera.
+    setting : Setting or str
+        Setting of the scene.
+    difficulty : Difficulty
+        Difficulty of the scene.
+
+    Returns
+    -------
+    Composition
+        Scene of cucumbers that do not intersect; for `PLAIN`, 0 to 12 at 0.3 to 1.2 m.
+
+    Raises
+    ------
+    ValueError
+        If the setting is unknown.
+
+    Examples
+    --------
+    >>> from cucumbervision.capture.intrinsics import Intrinsics
+    >>> camera = Intrinsics(320, 180, 228.0, 228.0, 160.0, 90.0)
+    >>> staged = compose(np.random.default_rng(4), camera, "bench")
+    >>> len(staged.scene.fruit) == len(staged.cucumber), staged.setting.value
+    (True, 'bench')
+    """
+    setting = Setting(setting)
+    varieties = list(_SHARES)
+    variety = varieties[int(rng.choice(len(varieties), p=list(_SHARES.values())))]
+    nearest, farthest = _REACH_M[variety]
+    nearest, farthest = nearest * difficulty.nearer, farthest * difficulty.farther
+    distance = float(np.exp(rng.uniform(np.log(nearest), np.log(farthest))))
+    count = _count(rng, setting, difficulty)
+    if setting is Setting.HANGING:
+        return _compose_hanging(rng, camera, variety, distance, count, difficulty)
+    return _compose_lying(rng, camera, setting, variety, distance, count)
+
+
+def _count(rng: np.random.Generator, setting: Setting, difficulty: Difficulty) -> int:
+    if setting is Setting.CRATE:
+        return int(rng.integers(4, difficulty.most + 1))
+    # 8 % of the pictures show no fruit, as negatives.
+    return 0 if rng.random() < 0.08 else int(min(rng.geometric(difficulty.stop), difficulty.most))
+
+
+def _random_of_variety(rng: np.random.Generator, variety: Variety) -> Tube:
+    length_m = float(rng.uniform(*_LENGTHS_M[variety]))
+    bend_m = length_m * float(rng.uniform(0.4, 0.9)) if rng.random() < _BOW_SHARE else None
+    return random_fruit(rng, length_m, variety, bend_radius_m=bend_m, balls=400)
+
+
+def _compose_hanging(
+    rng: np.random.Generator,
+    camera: Intrinsics,
+    variety: Variety,
+    distance_m: float,
+    count: int,
+    difficulty: Difficulty,
+) -> Composition:
+    placed: list[Tube] = []
+    for _ in range(count):
+        for _ in range(_TRIES):
+            fruit = _random_hanging(rng, camera, variety, distance_m)
+            if fruit.centres_m[:, 2].min() > NEAREST_M + 0.03 and _is_separate(fruit, placed):
+                placed.append(fruit)
+                break
+    scene = _behind(rng, camera, tuple(placed), distance_m)
+    stem_roles = ["string", "string", "stem", "stem"]
+    leaf_roles = ["leaf"] * len(scene.leaves)
+    for index in range(len(placed)):
+        if rng.random() < difficulty.covered:
+            share, free = float(rng.uniform(0.05, 0.6)), bool(rng.random() < 0.55)
+            covered = occlude(scene, camera, index, share, rng, ends_free=free)
+            if covered is not scene:
+                scene = covered
+                leaf_roles.append("leaf")
+    before = _loose_leaves(rng, camera, distance_m, difficulty.leaves, close=not placed)
+    leaf_roles += ["leaf"] * len(before)
+    crossing = _crossing(rng, placed[int(rng.integers(len(placed)))]) if placed else ()
+    ends = [_end_details(rng, fruit) for fruit in placed]
+    petals = tuple(leaf for end in ends for leaf in end[0])
+    rods = tuple(rod for end in ends for rod, _ in end[1])
+    stem_roles += [role for end in ends for _, role in end[1]]
+    stem_roles += ["string" if rod.radius_m > 0.01 else "stem" for rod in crossing]
+    strings = _strings_before(rng, distance_m)
+    scene = replace(
+        scene,
+        leaves=(*scene.leaves, *before, *petals),
+        stems=(*scene.stems, *rods, *crossing, *strings),
+    )
+    scene, up = _tilt_view(rng, scene)
+    return Composition(
+        scene,
+        Setting.HANGING,
+        variety,
+        (True,) * len(placed),
+        (*leaf_roles, *["blossom"] * len(petals)),
+        (*stem_roles, *["string"] * len(strings)),
+        up,
+    )
+
+
+def _random_hanging(
+    rng: np.random.Generator, camera: Intrinsics, variety: Variety, distance_m: float
+) -> Tube:
+    z = distance_m * rng.uniform(0.88, 1.2)
+    u, v = rng.uniform(0.04, 0.96) * camera.width, rng.uniform(0.06, 0.94) * camera.height
+    x, y = (float(r) for r in camera.rays(u, v))
+    return place_hanging(
+        _random_of_variety(rng, variety),
+        (x * z, y * z, z),
+        roll_deg=-90.0 + rng.normal(0, 14),
+        tilt_deg=float(np.clip(rng.normal(0, 20), -65, 65)),
+        spin_deg=rng.uniform(0, 360),
+    )
+
+
+def _behind(
+    rng: np.random.Generator, camera: Intrinsics, fruit: tuple[Tube, ...], distance_m: float
+) -> Scene:
+    if fruit:
+        return trellis(rng, camera, fruit, behind_m=float(rng.uniform(0.0, 0.25)))
+    stand_in = (place_hanging(_random_of_variety(rng, Variety.MINI), (0.0, 0.0, distance_m)),)
+    return replace(trellis(rng, camera, stand_in), fruit=())
+
+
+def _loose_leaves(
+    rng: np.random.Generator, camera: Intrinsics, distance_m: float, factor: float, *, close: bool
+) -> tuple[Leaf, ...]:
+    leaves = []
+    # Without fruit, leaves are near: leaves that fill the picture cause many false positives.
+    many, nearest = (5.0, 0.3) if close else (2.2, 0.6)
+    for _ in range(int(rng.poisson(factor * many))):
+        length = rng.uniform(0.05, 0.11)
+        z = distance_m * rng.uniform(nearest, 1.1)
+        u, v = rng.uniform(0, camera.width), rng.uniform(0, camera.height)
+        x, y = (float(r) for r in camera.rays(u, v))
+        turn = rotation(rng.uniform(0, 360), rng.normal(0, 35), rng.uniform(-20, 60))
+        leaf = Leaf(
+            np.array([x * z, y * z, z]),
+            turn.T,
+            length,
+            length * rng.uniform(0.7, 0.95),
+            (float(rng.normal(0, 2)), float(rng.normal(0, 2))),
+            rng.uniform(0.05, 0.18),
+        )
+        if in_front(leaf):
+            leaves.append(leaf)
+    return tuple(leaves)
+
+
+def _strings_before(rng: np.random.Generator, distance_m: float) -> tuple[Stem, ...]:
+    from cucumbervision_lab.scenes.placing import string
+
+    count = int(rng.random() < 0.3) + int(rng.random() < 0.1)
+    return tuple(
+        string(rng, rng.uniform(-0.4, 0.4) * distance_m, distance_m * rng.uniform(0.75, 0.95))
+        for _ in range(count)
+    )
+
+
+def _crossing(rng: np.random.Generator, fruit: Tube) -> tuple[Stem, ...]:
+    """Return a petiole before a fruit, a stem and a pipe behind it, each or none of them."""
+    middle = fruit.centres_m[int(rng.uniform(0.15, 0.85) * len(fruit.centres_m))]
+    radius_m = float(fruit.radii_m.max())
+    rods = []
+    for share, off_m, thick_m, half_m, turn in (
+        (_PETIOLE_SHARE, -radius_m - rng.uniform(0.01, 0.05), rng.uniform(0.002, 0.004), 0.15, 60),
+        (_STEM_SHARE, radius_m + rng.uniform(0.01, 0.06), rng.uniform(0.004, 0.007), 0.6, 15),
+        (_PIPE_SHARE, radius_m + rng.uniform(0.06, 0.2), rng.uniform(0.02, 0.03), 1.5, 0),
+    ):
+        angle = np.deg2rad(rng.normal(0, 5) if turn == 0 else rng.normal(90, turn))
+        along = np.array([np.cos(angle), np.sin(angle), rng.normal(0, 0.1)])
+        place = middle * (1 + off_m / middle[2]) + rng.normal(0, 0.5 * radius_m, 3) * (1, 1, 0)
+        if rng.random() < share and place[2] - 0.2 * half_m > NEAREST_M:
+            rods.append(Stem(np.stack([place - half_m * along, place + half_m * along]), thick_m))
+    return tuple(rods)
+
+
+def _end_details(
+    rng: np.random.Generator, fruit: Tube
+) -> tuple[tuple[Leaf, ...], tuple[tuple[Stem, str], ...]]:
+    """Return the withered blossom and the stalk of a fruit, which identify its ends."""
+    blossom, stem = fruit.poles_m
+    radius = float(fruit.radii_m.max())
+    petals: list[Leaf] = []
+    rods: list[tuple[Stem, str]] = []
+    if rng.random() < 0.85:
+        rods.append((_stalk(rng, stem, fruit.centres_m[-1], radius), "stalk"))
+    if rng.random() < 0.45:
+        out = blossom - fruit.centres_m[0]
+        out /= np.linalg.norm(out)
+        tip = blossom + out * rng.uniform(0.004, 0.014)
+        rods.append(
+            (Stem(np.stack([blossom - 0.002 * out, tip]), rng.uniform(0.002, 0.004)), "blossom")
+        )
+        for _ in range(int(rng.integers(0, 5))):
+            turn = rotation(rng.uniform(0, 360), rng.uniform(-70, 70), rng.uniform(0, 360))
+            length = rng.uniform(0.006, 0.014)
+            position = tip + rng.normal(0, 0.003, 3)
+            bend = float(rng.normal(0, 30)), float(rng.normal(0, 30))
+            petals.append(Leaf(position, turn.T, length, 0.5 * length, bend, 0.0))
+    return tuple(petals), tuple(rods)
+
+
+def _stalk(
+    rng: np.random.Generator, pole: NDArray[np.float64], inner: NDArray[np.float64], radius_m: float
+) -> Stem:
+    out = pole - inner
+    out /= np.linalg.norm(out)
+    aside = rng.normal(0, 0.5, 3)
+    length = rng.uniform(0.01, 0.02) if rng.random() < 0.5 else rng.uniform(0.02, 0.06)
+    line = [
+        pole - 0.003 * out,
+        pole + 0.4 * length * out + 0.1 * length * aside,
+        pole + length * out + 0.45 * length * aside,
+    ]
+    return Stem(np.stack(line), radius_m * rng.uniform(0.11, 0.34))
+
+
+def _tilt_view(rng: np.random.Generator, scene: Scene) -> tuple[Scene, tuple[float, float, float]]:
+    """Return the scene and its up vector after a random, mostly level camera rotation."""
+    pick = rng.random()
+    if pick < 0.68:
+        roll = rng.normal(0, 6)
+    elif pick < 0.88:
+        roll = rng.choice([-90.0, 90.0]) + rng.normal(0, 8)
+    else:
+        roll = rng.uniform(0, 360)
+    turned = scene.moved(rotation(float(roll)), (0.0, 0.0, 0.0))
+    up = rotation(float(roll)) @ np.array([0.0, -1.0, 0.0])
+    middle = _middle(scene)
+    for turn in (rotation(tilt_deg=float(rng.normal(0, 6))), _pitch(float(rng.normal(0, 11)))):
+        tilted = turned.moved(turn, middle - turn @ middle)
+        # Skip a rotation that would move bodies behind the camera.
+        if _all_in_front(tilted):
+            turned, up = tilted, turn @ up
+    return turned, (float(up[0]), float(up[1]), float(up[2]))
+
+
+def _middle(scene: Scene) -> NDArray[np.float64]:
+    z = float(np.mean([f.centres_m[:, 2].mean() for f in scene.fruit])) if scene.fruit else 0.8
+    return np.array([0.0, 0.0, z])
+
+
+def _pitch(angle_deg: float) -> NDArray[np.float64]:
+    cos, sin = np.cos(np.deg2rad(angle_deg)), np.sin(np.deg2rad(angle_deg))
+    return np.array([[1.0, 0.0, 0.0], [0.0, cos, -sin], [0.0, sin, cos]])
+
+
+def _all_in_front(scene: Scene) -> bool:
+    return (
+        all(f.centres_m[:, 2].min() > NEAREST_M for f in scene.fruit)
+        and all(in_front(leaf) for leaf in scene.leaves)
+        and all(rod.vertices_m[:, 2].min() > 2 * rod.radius_m for rod in scene.stems)
+    )
+
+
+def _is_separate(fruit: Tube, neighbours: list[Tube]) -> bool:
+    centres, radii = fruit.centres_m[::8], fruit.radii_m[::8]
+    for neighbour in neighbours:
+        gap = np.linalg.norm(centres[:, None] - neighbour.centres_m[None, ::8], axis=2)
+        if (gap < radii[:, None] + neighbour.radii_m[None, ::8]).any():
+            return False
+    return True
+
+
+def _compose_lying(
+    rng: np.random.Generator,
+    camera: Intrinsics,
+    setting: Setting,
+    variety: Variety,
+    distance_m: float,
+    count: int,
+) -> Composition:
+    crated = setting is Setting.CRATE
+    bodies = [_random_of_variety(rng, variety) for _ in range(count)]
+    real = [True] * count
+    if not crated:
+        # Decoys with the shape but not the skin of a cucumber: carrots, bananas, pipes.
+        for _ in range(int(rng.random() < 0.3) + int(rng.random() < 0.15)):
+            bodies.append(_random_of_variety(rng, Variety(rng.choice([v.value for v in Variety]))))
+            real.append(False)
+    longest = max((f.chord_m for f in bodies), default=0.2)
+    inner_m = (float(longest * rng.uniform(1.08, 1.5)), float(longest * rng.uniform(0.35, 0.8)))
+    if crated:
+        # Near enough to fill a large part of the picture.
+        distance_m = max(float(inner_m[0] * rng.uniform(0.9, 1.8)), 0.38)
+    ground = Ground.seen(rng, distance_m)
+    placed, indices = place_lying(rng, camera, ground, bodies, inner_m if crated else None)
+    rods = crate_rods(rng, ground, inner_m) if crated else ()
+    ends = [
+        _end_details(rng, fruit) if real[k] else ((), ())
+        for k, fruit in zip(indices, placed, strict=True)
+    ]
+    petals = tuple(leaf for end in ends for leaf in end[0])
+    tips = tuple(rod for end in ends for rod in end[1])
+    scene = Scene(tuple(placed), petals, (*rods, *(rod for rod, _ in tips)), (ground.plane,))
+    return Composition(
+        scene,
+        setting,
+        variety,
+        tuple(real[k] for k in indices),
+        ("blossom",) * len(petals),
+        (*["crate"] * len(rods), *(role for _, role in tips)),
+        tuple(ground.frame[2].tolist()),
+    )

@@ -1,0 +1,364 @@
+"""Shade a rendered scene: materials of all bodies, then lighting."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from cucumbervision_lab.scenes.appearance import FAR, Style
+from cucumbervision_lab.scenes.colors import mix, sample, scale_colors, smooth_noise, to_linear
+from cucumbervision_lab.scenes.lighting import (
+    ambient_occlusion,
+    dappled_shade,
+    light_maps,
+    sun_shadow,
+)
+from cucumbervision_lab.scenes.raycast import ray_grid
+from cucumbervision_lab.scenes.scene import Kind
+from cucumbervision_lab.scenes.skin import skin_maps
+from cucumbervision_lab.scenes.textures import (
+    LEAF_TEXTURES,
+    TILE_M,
+    far_view,
+    leaf_level,
+    leaf_photo_texture,
+    leaf_texel,
+    leaf_texture,
+    material_tile,
+)
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from cucumbervision.capture.intrinsics import Intrinsics
+    from cucumbervision_lab.scenes.appearance import Assets
+    from cucumbervision_lab.scenes.lighting import Light
+    from cucumbervision_lab.scenes.scene import Scene, View
+
+    Array = NDArray[np.float32]
+
+_FAR_M = 8.0
+_PHOTOS = 3
+_SEEN_THROUGH = np.array([1.15, 1.3, 0.55], np.float32)  # leaves transmit yellowish light
+
+
+@dataclass(frozen=True, eq=False)
+class _Layers:
+    # What the light needs, flat: colour, normal, gloss, share of light that passes through,
+    # and where the colour shines by itself (a far view).
+    albedo: Array
+    normal: Array
+    gloss: Array
+    through: Array
+    far: NDArray[np.bool_]
+
+    @classmethod
+    def empty(cls, count: int) -> _Layers:
+        normal = np.tile(np.array([0, 0, -1], np.float32), (count, 1))
+        albedo, gloss, through = (np.zeros(s, np.float32) for s in ((count, 3), count, count))
+        return cls(albedo, normal, gloss, through, np.zeros(count, np.bool_))
+
+
+@dataclass(frozen=True, eq=False)
+class _Job:
+    # What every material needs to be shaded.
+    scene: Scene
+    view: View
+    camera: Intrinsics
+    style: Style
+    assets: Assets
+    rng: np.random.Generator
+    layers: _Layers
+
+
+def shade(
+    scene: Scene,
+    view: View,
+    camera: Intrinsics,
+    style: Style,
+    assets: Assets,
+    rng: np.random.Generator,
+) -> NDArray[np.float32]:
+    """Compute the radiance of each pixel.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene in camera coordinates.
+    view : View
+        Result of `render`.
+    camera : Intrinsics
+        The camera.
+    style : Style
+        Appearance of each body.
+    assets : Assets
+        Picture assets.
+    rng : numpy.random.Generator
+        Random generator.
+
+    Returns
+    -------
+    ndarray of float32, shape (H, W, 3)
+        Linear RGB, input of `color_camera.expose`.
+
+    Raises
+    ------
+    ValueError
+        If the numbers of bodies in `style` and `scene` differ.
+
+    Examples
+    --------
+    >>> from cucumbervision.capture.intrinsics import Intrinsics
+    >>> from cucumbervision_lab.scenes.appearance import Assets, random_style
+    >>> from cucumbervision_lab.scenes.raycast import Plane
+    >>> from cucumbervision_lab.scenes.scene import Scene, render
+    >>> from cucumbervision_lab.scenes.bodies import arc_tube
+    >>> camera, rng = Intrinsics(160, 120, 150.0, 150.0, 80.0, 60.0), np.random.default_rng(1)
+    >>> tube = arc_tube(0.2, 0.02).moved(np.eye(3), (0.0, 0.0, 0.5))
+    >>> scene = Scene((tube,), planes=(Plane.facing(0.52),))
+    >>> style = random_style(rng, scene, Assets(), "bench")
+    >>> shade(scene, render(scene, camera), camera, style, Assets(), rng).shape
+    (120, 160, 3)
+    """
+    _check(scene, style)
+    grid = ray_grid(camera)
+    depth = view.depth_m.astype(np.float32)
+    x, y = (g.astype(np.float32) for g in (grid.x, grid.y))
+    points: Array = np.stack([x * depth, y * depth, depth], axis=-1).reshape(-1, 3)
+    job = _Job(scene, view, camera, style, assets, rng, _Layers.empty(view.kind.size))
+    background = far_view(rng, style.far, camera.width, camera.height, assets).reshape(-1, 3)
+    photos = [leaf_photo_texture(rng, assets) if style.leaf_photo else () for _ in range(_PHOTOS)]
+    tiles: dict[str, Array] = {}
+    for kind, index, pixels in _bodies(view):
+        points_here = points[pixels]
+        if kind == Kind.FRUIT:
+            _fruit(job, pixels, index, points_here)
+        elif kind == Kind.LEAF:
+            _leaf(job, pixels, index, points_here, photos[rng.integers(_PHOTOS)])
+        elif kind == Kind.STEM:
+            _stem(job, pixels, index, points_here)
+        elif kind == Kind.PLANE and style.materials[index] != FAR:
+            name = style.materials[index]
+            if name not in tiles:
+                seen_m = float(np.median(points_here[:, 2])) / camera.fx_px
+                tiles[name] = material_tile(rng, name, style.material_colors[index], seen_m)
+            _plane(job, pixels, index, points_here, tiles[name])
+        else:
+            job.layers.albedo[pixels] = background[pixels]
+            job.layers.far[pixels] = True
+    return _lit(job)
+
+
+def _check(scene: Scene, style: Style) -> None:
+    for name, bodies, looks in (
+        ("fruit", scene.fruit, style.skins),
+        ("leaves", scene.leaves, style.leaf_colors),
+        ("leaves", scene.leaves, style.leaf_roles),
+        ("stems", scene.stems, style.stem_colors),
+        ("stems", scene.stems, style.stem_roles),
+        ("planes", scene.planes, style.materials),
+        ("planes", scene.planes, style.material_colors),
+    ):
+        if len(bodies) != len(looks):
+            raise ValueError(f"the style has {len(looks)} looks for {len(bodies)} {name}")
+
+
+def _bodies(view: View) -> list[tuple[int, int, NDArray[np.intp]]]:
+    # A single stable sort of 16-bit keys groups the pixels by body.
+    stride = int(view.body.max()) + 2
+    key = (view.kind.astype(np.int32) * stride + view.body + 1).ravel()
+    key = key.astype(np.uint16) if key.max() < 2**16 else key
+    order = np.argsort(key, kind="stable")
+    starts = np.flatnonzero(np.diff(key[order].astype(np.int32), prepend=-1))
+    bodies = []
+    for pixels in np.split(order, starts[1:]):
+        kind, body = divmod(int(key[pixels[0]]), stride)
+        bodies.append((kind, body - 1, pixels))
+    return bodies
+
+
+def _fruit(job: _Job, pixels: NDArray[np.intp], index: int, points: Array) -> None:
+    tube, view, layers = job.scene.fruit[index], job.view, job.layers
+    share, normal = view.share.ravel()[pixels], view.normal.reshape(-1, 3)[pixels]
+    balls = len(tube.radii_m)
+    along = np.gradient(tube.centres_m, axis=0)
+    steps = np.linalg.norm(along, axis=1)
+    along /= steps[:, None]
+    run = tube.radii_m[0] + np.concatenate([[0.0], np.cumsum((steps[1:] + steps[:-1]) / 2)])
+    length = float(run[-1] + tube.radii_m[-1])
+    radius = float(np.quantile(tube.radii_m, 0.8))
+    texel = max(1.1 * float(np.median(points[:, 2])) / job.camera.fx_px, 0.0003)
+    maps = skin_maps(job.rng, job.style.skins[index], length, radius, texel, job.assets)
+    k = np.clip(np.rint(share * (balls - 1)), 0, balls - 1).astype(np.int32)
+    tangent = along.astype(np.float32)[k]
+    lean = np.einsum("ij,ij->i", normal, tangent)
+    from_blossom_m = run.astype(np.float32)[k] + lean * tube.radii_m.astype(np.float32)[k]
+    out = tube.outward - (along @ tube.outward)[:, None] * along
+    out = (out / np.linalg.norm(out, axis=1)[:, None]).astype(np.float32)
+    aside = np.cross(along, out).astype(np.float32)[k]
+    out = out[k]
+    angle = np.arctan2(
+        np.einsum("ij,ij->i", normal, aside), np.einsum("ij,ij->i", normal, out)
+    ) / np.float32(2 * np.pi)
+    rows, columns = maps.albedo.shape[:2]
+    x = (angle + np.float32(job.rng.random())) % 1 * columns - np.float32(0.5)
+    y = np.clip(from_blossom_m / np.float32(length), 0, 1) * (rows - 1)
+    layers.albedo[pixels] = sample(maps.albedo, x, y)
+    relief = sample(maps.relief, x, y)
+    turned = 2 * np.float32(np.pi) * angle[:, None]
+    round_about = np.cos(turned) * aside - np.sin(turned) * out
+    layers.normal[pixels] = _unit(normal - relief[:, :1] * tangent - relief[:, 1:2] * round_about)
+    layers.gloss[pixels] = relief[:, 2]
+
+
+def _unit(vectors: Array, sign: Array | float = 1.0) -> Array:
+    length = np.sqrt(np.einsum("ij,ij->i", vectors, vectors)) + np.float32(1e-9)
+    return scale_colors(vectors, (np.float32(1) / length * sign).astype(np.float32))
+
+
+def _leaf(
+    job: _Job, pixels: NDArray[np.intp], index: int, points: Array, photo: tuple[Array, ...]
+) -> None:
+    rng, style, layers, leaf = job.rng, job.style, job.layers, job.scene.leaves[index]
+    frame = leaf.frame.astype(np.float32)
+    local = (points - leaf.centre_m.astype(np.float32)) @ frame.T
+    flip = np.float32(rng.choice((-1.0, 1.0)))
+    x = leaf_texel(local[:, 0] / np.float32(leaf.half_length_m))
+    y = leaf_texel(flip * local[:, 1] / np.float32(leaf.half_width_m))
+    level = leaf_level(job.camera.fx_px * leaf.half_length_m / float(np.median(points[:, 2])))
+    texels = sample(leaf_texture(int(rng.integers(LEAF_TEXTURES)), level), x, y)
+    below = texels[:, 2:] * np.float32(style.leaf_relief)
+    bend = np.asarray(leaf.bend_per_m, np.float32)
+    slopes = local[:, :2] * bend + below * np.array([1, flip], np.float32)
+    normal = frame[2] - slopes @ frame[:2]
+    # Flip normals towards the camera, because both faces of a blade are visible.
+    side = np.sign(np.einsum("ij,ij->i", normal, points))
+    underside = float(side.mean()) > 0
+    layers.normal[pixels] = _unit(normal, -np.where(side == 0, 1, side))
+    color = to_linear(style.leaf_colors[index])
+    withered = style.leaf_roles[index] == "blossom"
+    pale = to_linear((150, 168, 104))
+    if underside and not withered:
+        color = 0.65 * color + 0.35 * to_linear((140, 158, 122))
+    vein = np.float32(0.0 if withered else rng.uniform(0.02, 0.35)) * texels[:, 1]
+    albedo = mix(color, pale, vein)
+    if photo and not withered:
+        albedo *= 1 + np.float32(style.leaf_photo) * (sample(photo[level], x, y) - 1)
+    layers.albedo[pixels] = scale_colors(albedo, np.ascontiguousarray(texels[:, 0]))
+    layers.gloss[pixels] = np.float32(0.0 if underside or withered else style.leaf_gloss)
+    layers.through[pixels] = np.float32(0.55)
+
+
+def _stem(job: _Job, pixels: NDArray[np.intp], index: int, points: Array) -> None:
+    rng, style, layers = job.rng, job.style, job.layers
+    line = job.scene.stems[index].vertices_m.astype(np.float32)
+    first, step = line[:-1], np.diff(line, axis=0)
+    squared = np.maximum(np.einsum("ij,ij->i", step, step), 1e-12)
+    best = np.full(len(pixels), np.inf, np.float32)
+    normal = np.zeros((len(pixels), 3), np.float32)
+    run = np.zeros(len(pixels), np.float32)
+    for k in range(len(step)):
+        off = points - first[k]
+        share = np.clip(off @ step[k] / squared[k], 0, 1)
+        off -= share[:, None] * step[k]
+        distance = np.einsum("ij,ij->i", off, off)
+        closer = distance < best
+        best[closer], normal[closer] = distance[closer], off[closer]
+        run[closer] = (k + share[closer]) * np.sqrt(squared[k])
+    normal = layers.normal[pixels] = _unit(normal)
+    color = to_linear(style.stem_colors[index])
+    role = style.stem_roles[index]
+    if role == "string":
+        tone = 1 + 0.2 * np.sin(run * 1600 + 6 * normal[:, 0])
+    elif role == "crate":
+        tone = 1 + 0.1 * sample(smooth_noise(rng, (64, 4), (6, 1), wrap=True), 0 * run, 90 * run)
+    else:
+        noise = smooth_noise(rng, (64, 4), (3, 1), wrap=True)
+        tone = 1 + 0.12 * sample(noise, 2 + 2 * normal[:, 0], run * 400 % 63)
+        tone *= 1 + 0.06 * np.cos(9 * np.arctan2(normal[:, 0], -normal[:, 2]))
+    layers.albedo[pixels] = color * np.clip(tone, 0.4, 1.6).astype(np.float32)[:, None]
+    layers.gloss[pixels] = np.float32(0.15)
+    layers.through[pixels] = np.float32(0.1 if role in ("stem", "stalk") else 0.0)
+
+
+def _plane(job: _Job, pixels: NDArray[np.intp], index: int, points: Array, tile: Array) -> None:
+    plane, layers = job.scene.planes[index], job.layers
+    normal, frame = plane.unit_normal(), plane.tile_axes().astype(np.float32)
+    place = (points - plane.point_m.astype(np.float32)) @ frame.T
+    size = tile.shape[0]
+    pixel = (place * np.float32(size / TILE_M)) % size
+    layers.albedo[pixels] = sample(tile, pixel[:, 0], pixel[:, 1])
+    layers.normal[pixels] = normal.astype(np.float32)
+    layers.gloss[pixels] = np.float32(
+        {"steel": 0.5, "plastic": 0.4}.get(job.style.materials[index], 0.03)
+    )
+
+
+def _lit(job: _Job) -> NDArray[np.float32]:
+    view, camera, style, layers = job.view, job.camera, job.style, job.layers
+    shape = view.kind.shape
+    grid = ray_grid(camera)
+    background = layers.far.reshape(shape)
+    depth = np.where((view.depth_m > 0) & ~background, view.depth_m, _FAR_M).astype(np.float32)
+    maps = light_maps(job.rng, style.light, job.assets)
+    normal = layers.normal.reshape(*shape, 3)
+    albedo = layers.albedo.reshape(*shape, 3)
+    gloss, through = layers.gloss.reshape(shape), layers.through.reshape(shape)
+    size = maps.front.shape[0]
+
+    def found(picture: Array, x: Array, y: Array) -> Array:
+        return np.asarray(cv2.remap(picture, x, y, cv2.INTER_LINEAR))
+
+    half = np.float32(size / 2)
+    x, y = ((normal[..., i] + 1) * half - np.float32(0.5) for i in range(2))
+    open_ = ambient_occlusion(depth)
+    front = found(maps.front, x, y)
+    front += scale_colors(found(maps.back * _SEEN_THROUGH, x, y), through)
+    nearest = float(np.quantile(depth[::8, ::8], 0.02))
+    gloom = np.exp(-np.float32(style.gloom_per_m) * np.maximum(depth - nearest, 0))
+    front = scale_colors(front, open_ * gloom)
+    # The viewing direction, and with it the reflection, is inclined away from the picture's centre.
+    x += np.float32(0.5) * half * grid.x.astype(np.float32)
+    y += np.float32(0.5) * half * grid.y.astype(np.float32)
+    x, y = np.clip(x, 0, size - 1), np.clip(y, 0, size - 1)
+    # Schlick's approximation for a wax coating.
+    edge = np.clip(1 + normal[..., 2], 0, 1) ** 4
+    shine = gloss * (np.float32(0.045) + np.float32(0.35) * edge)
+    gleam = found(maps.soft, x, y)
+    gleam += scale_colors(found(maps.sharp, x, y), np.maximum(gloss - np.float32(0.4), 0))
+    light = albedo * front
+    light += scale_colors(gleam, shine * (0.3 + 0.7 * open_) * gloom)
+    if style.light.sun_strength > 0:
+        light += _sunlit(
+            job.rng, (albedo, normal, gloss, through), depth, gloom, camera, style.light
+        )
+    light[background] = albedo[background]
+    return light
+
+
+def _sunlit(
+    rng: np.random.Generator,
+    layers: tuple[Array, Array, Array, Array],
+    depth_m: Array,
+    gloom: Array,
+    camera: Intrinsics,
+    light: Light,
+) -> Array:
+    albedo, normal, gloss, through = layers
+    lit = sun_shadow(rng, depth_m, camera, light) * np.sqrt(gloom)
+    if light.shade > 0:
+        lit = lit * dappled_shade(rng, depth_m, camera, light)
+    sun = np.asarray(light.sun, np.float32)
+    halfway = sun + np.array([0, 0, -1], np.float32)
+    halfway /= np.linalg.norm(halfway)
+    cosines = cv2.transform(normal, np.stack([sun, halfway]))
+    facing = cosines[..., 0]
+    matt, back_light = np.maximum(facing, 0), through * np.maximum(-facing, 0)
+    shine = cv2.pow(np.maximum(cosines[..., 1], 0), 60.0) * gloss * (facing > 0)
+    strength = np.asarray(light.sun_color, np.float32) * np.float32(light.sun_strength)
+    body = cv2.merge([matt + part * back_light for part in _SEEN_THROUGH.tolist()]) * albedo
+    gleam = np.float32(0.9) * shine
+    return scale_colors(body + cv2.merge([gleam, gleam, gleam]), lit) * strength

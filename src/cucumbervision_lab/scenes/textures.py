@@ -1,0 +1,356 @@
+"""Textures of leaves, surfaces and distant backgrounds."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+
+from cucumbervision_lab.scenes.colors import (
+    jitter,
+    mix,
+    smooth_noise,
+    smoothstep,
+    to_linear,
+)
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Grain = float | tuple[float, float]
+    from collections.abc import Callable
+
+    from cucumbervision_lab.scenes.appearance import Assets
+
+LEAF_TEXTURES = 16  # as many there are to choose from
+
+_BLADE_PX = 192
+
+_BLADE_LEVELS = 3
+
+LEAF_REACH = 1.3  # the texture spans that many half axes to each side
+
+_BASE = -0.8  # where the stalk meets the blade
+
+_MAIN_DEG = (0.0, 42.0, 85.0, 125.0)
+
+
+@lru_cache(maxsize=4 * LEAF_TEXTURES)
+def leaf_texture(number: int, level: int = 0) -> NDArray[np.float32]:
+    """Generate the texture of a leaf.
+
+    Parameters
+    ----------
+    number : int
+        Number of the texture, from 0 to `LEAF_TEXTURES` - 1; results are cached.
+    level : int
+        Level of detail from `leaf_level`.
+
+    Returns
+    -------
+    ndarray of float32, shape (192, 192, 4)
+        Brightness with mean 1; veins, 0 to 1; slope along and across the blade for a relief of 1.
+        Rows run across the blade, columns along it to the tip, over 1.3 half axes to each side.
+    """
+    if level:
+        return _coarser(leaf_texture(number), level)
+    rng = np.random.default_rng(number)
+    line = ((np.arange(_BLADE_PX, dtype=np.float32) + 0.5) * (2 / _BLADE_PX) - 1) * LEAF_REACH
+    s, t = np.meshgrid(line, line)
+    ahead, aside = s - _BASE, np.abs(t)
+    reach = np.hypot(ahead, aside)
+    angle = np.arctan2(aside, ahead)
+    wobble = 0.09 * smooth_noise(rng, s.shape, 30)
+    main = np.zeros_like(s)
+    side = np.full_like(s, 9.0)
+    for degrees in _MAIN_DEG:
+        away = angle + wobble - np.deg2rad(degrees)
+        width = 0.024 - 0.009 * np.clip(reach, 0, 2)
+        off = reach * np.sin(np.clip(np.abs(away), 0, np.pi / 2))
+        main = np.maximum(main, np.exp(-((off / width) ** 2)))
+        side = np.minimum(side, np.abs(away))
+    # Pairs of side veins branch off the main veins at regular steps.
+    often = rng.uniform(3.5, 6.0)
+    step = (often * reach * (1 - 0.8 * side) + 0.5 * smooth_noise(rng, s.shape, 30)) % 1.0
+    branch = np.exp(-(((step - 0.5) / 0.07) ** 2)) * smoothstep(0.05, 0.4, reach)
+    branch *= smoothstep(0.75, 0.1, side) * (0.7 + 0.5 * smooth_noise(rng, s.shape, 30))
+    net = np.exp(-((smooth_noise(rng, s.shape, 13) / 0.14) ** 2))
+    vein = np.clip(np.maximum(main, 0.5 * branch) + 0.22 * net, 0, 1)
+    blisters = -0.8 * vein + 0.4 * smooth_noise(rng, s.shape, 11)
+    height = cv2.GaussianBlur(blisters.astype(np.float32), (0, 0), 1.8)
+    across, along = np.gradient(height)
+    patches = smooth_noise(rng, s.shape, 50)
+    grain = smooth_noise(rng, s.shape, 3)
+    tone = 1 + 0.14 * patches + 0.09 * grain + 0.22 * blisters
+    return np.stack([tone, vein, 3.0 * along, 3.0 * across], axis=-1).astype(np.float32)
+
+
+def leaf_photo_texture(rng: np.random.Generator, assets: Assets) -> tuple[NDArray[np.float32], ...]:
+    """Crop a random leaf texture from a photo.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Random generator.
+    assets : Assets
+        Assets with `leaves`.
+
+    Returns
+    -------
+    tuple of ndarray of float32, shape (192, 192, 3)
+        Linear RGB divided by its mean, for each `leaf_level`; empty without leaves.
+    """
+    if not assets.leaves:
+        return ()
+    picture = assets.leaves[rng.integers(len(assets.leaves))]
+    rows, columns = picture.shape[:2]
+    size = int(rng.uniform(0.30, 0.5) * min(rows, columns))
+    top = int(rng.uniform(0.35, 0.65) * (rows - size))
+    column = int(rng.uniform(0.35, 0.65) * (columns - size))
+    piece: NDArray[Any] = np.rot90(
+        picture[top : top + size, column : column + size], int(rng.integers(4))
+    )
+    piece = cv2.resize(
+        np.ascontiguousarray(piece), (_BLADE_PX, _BLADE_PX), interpolation=cv2.INTER_AREA
+    )
+    light = to_linear(piece)
+    drawing = np.asarray(np.clip(light / (light.mean(axis=(0, 1)) + 0.01), 0.15, 3.0), np.float32)
+    return tuple(_coarser(drawing, level) for level in range(_BLADE_LEVELS + 1))
+
+
+def leaf_level(half_px: float) -> int:
+    """Return the level of detail for a leaf of `half_px` pixels from centre to tip.
+
+    Each level halves the resolution, to avoid aliasing of veins on small leaves.
+
+    Examples
+    --------
+    >>> [leaf_level(half_px) for half_px in (200.0, 74.0, 37.0, 1.0)]
+    [0, 0, 1, 3]
+    """
+    fine = _BLADE_PX / (2 * LEAF_REACH)
+    return min(max(round(float(np.log2(fine / max(half_px, 1.0)))), 0), _BLADE_LEVELS)
+
+
+def _coarser(texture: NDArray[np.float32], level: int) -> NDArray[np.float32]:
+    # Equivalent blur at the original size.
+    if level == 0:
+        return texture
+    return np.asarray(cv2.GaussianBlur(texture, (0, 0), 0.5 * 2.0**level))
+
+
+def leaf_texel(place: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Convert a position on the blade, in half axes from its centre, to texture pixels."""
+    return (place / np.float32(LEAF_REACH) + 1) * np.float32(_BLADE_PX / 2) - np.float32(0.5)
+
+
+TILE_M = 0.6  # what a tile of material spans
+
+_TILE_PX = 512
+
+_COLORS: dict[str, tuple[tuple[float, float, float], ...]] = {
+    "wood": ((176, 140, 98), (120, 86, 56), (205, 180, 145), (150, 130, 112)),
+    "steel": ((170, 172, 174), (120, 124, 128), (200, 202, 204)),
+    "plastic": (
+        (40, 42, 44),
+        (235, 236, 234),
+        (40, 90, 60),
+        (30, 80, 150),
+        (120, 124, 128),
+        (196, 60, 44),
+    ),
+    "cloth": ((225, 220, 210), (96, 110, 134), (60, 66, 60), (170, 60, 60), (214, 196, 140)),
+    "concrete": ((150, 148, 142), (110, 108, 104), (186, 184, 178)),
+    "cardboard": ((176, 142, 100), (196, 164, 120)),
+    "paper": ((242, 242, 240), (224, 226, 230)),
+    "soil": ((86, 66, 48), (120, 98, 74), (60, 52, 44)),
+}
+
+MATERIALS = tuple(_COLORS)
+
+
+def material_color(rng: np.random.Generator, material: str) -> tuple[float, float, float]:
+    """Sample a typical colour of a material, sRGB, 0 to 255."""
+    choices = _COLORS[material]
+    return jitter(rng, choices[rng.integers(len(choices))], 0.08)
+
+
+def material_tile(
+    rng: np.random.Generator,
+    material: str,
+    color: tuple[float, float, float],
+    pixel_m: float = 0.0,
+) -> NDArray[np.float32]:
+    """Generate a tileable texture of a material.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Random generator.
+    material : str
+        One of `MATERIALS`.
+    color : tuple of float
+        sRGB, 0 to 255.
+    pixel_m : float
+        Size of a pixel on the surface, metres; finer structures are blurred to avoid aliasing.
+
+    Returns
+    -------
+    ndarray of float32, shape (512, 512, 3)
+        Linear RGB over 0.6 m.
+
+    Raises
+    ------
+    ValueError
+        If the material is unknown.
+    """
+    if material not in _COLORS:
+        raise ValueError(f"no material {material!r}: choose one of {', '.join(MATERIALS)}")
+    draw = _TONES.get(material, _even)
+    tone = draw(rng)
+    stain = smooth_noise(rng, (_TILE_PX, _TILE_PX), 120, wrap=True)
+    tone = tone * (1 + 0.06 * stain)
+    tile = to_linear(color) * tone[..., None]
+    tile = np.asarray(np.clip(tile, 0.003, 0.95), np.float32)
+    sigma_px = 0.5 * pixel_m * _TILE_PX / TILE_M
+    return np.asarray(cv2.GaussianBlur(tile, (0, 0), sigma_px)) if sigma_px > 0.3 else tile
+
+
+def _even(rng: np.random.Generator) -> NDArray[np.float32]:
+    fine = smooth_noise(rng, (_TILE_PX, _TILE_PX), 2, wrap=True)
+    tone = 1 + 0.02 * fine
+    for _ in range(int(rng.integers(0, 12))):  # scratches
+        a, b = rng.integers(0, _TILE_PX, (2, 2)).tolist()
+        cv2.line(tone, a, b, float(rng.uniform(0.8, 1.25)), 1, cv2.LINE_AA)
+    return tone
+
+
+def _boards(rng: np.random.Generator) -> NDArray[np.float32]:
+    grain = smooth_noise(rng, (_TILE_PX, _TILE_PX), (3, 90), wrap=True)
+    broad = smooth_noise(rng, (_TILE_PX, _TILE_PX), (14, 300), wrap=True)
+    knots = smooth_noise(rng, (_TILE_PX, _TILE_PX), (2, 40), wrap=True)
+    tone = 1 + 0.12 * grain + 0.10 * broad + 0.05 * knots
+    count = int(rng.integers(1, 9))
+    board = np.arange(_TILE_PX) * count // _TILE_PX
+    tone = tone * rng.uniform(0.8, 1.15, count).astype(np.float32)[board][:, None]
+    if count > 1:
+        edge = np.flatnonzero(np.diff(board))
+        tone[edge] *= 0.35
+        tone[np.minimum(edge + 1, _TILE_PX - 1)] *= 0.6
+    return np.asarray(tone, np.float32)
+
+
+def _brushed(rng: np.random.Generator) -> NDArray[np.float32]:
+    lines = smooth_noise(rng, (_TILE_PX, _TILE_PX), (1, 200), wrap=True)
+    return np.asarray(1 + 0.05 * lines + 0.05 * smooth_noise(rng, (_TILE_PX, _TILE_PX), (200, 90)))
+
+
+def _woven(rng: np.random.Generator) -> NDArray[np.float32]:
+    period = float(rng.uniform(4, 9))
+    line = np.arange(_TILE_PX, dtype=np.float32)
+    weave = np.sin(2 * np.pi * line / period)[:, None] * np.sin(2 * np.pi * line / period)
+    tone = 1 + 0.12 * weave + 0.06 * smooth_noise(rng, (_TILE_PX, _TILE_PX), 2)
+    if rng.random() < 0.5:  # checks
+        check_period = float(rng.uniform(30, 90))
+        check = 0.5 * ((line // check_period) % 2)
+        tone *= 1 - 0.35 * (check[:, None] + check)
+    return np.asarray(tone * (1 + 0.1 * smooth_noise(rng, (_TILE_PX, _TILE_PX), 90)), np.float32)
+
+
+def _rough(rng: np.random.Generator) -> NDArray[np.float32]:
+    layers = [(60, 0.12), (12, 0.10), (3, 0.10)]
+    tone = np.ones((_TILE_PX, _TILE_PX), np.float32)
+    for grain, spread in layers:
+        tone += spread * smooth_noise(rng, (_TILE_PX, _TILE_PX), grain, wrap=True)
+    return np.clip(tone, 0.2, 2)
+
+
+def _clods(rng: np.random.Generator) -> NDArray[np.float32]:
+    clod = smooth_noise(rng, (_TILE_PX, _TILE_PX), 14, wrap=True)
+    crumb = smooth_noise(rng, (_TILE_PX, _TILE_PX), 4, wrap=True)
+    return np.clip(1 + 0.4 * clod + 0.35 * crumb, 0.12, 2.2)
+
+
+_TONES: dict[str, Callable[[np.random.Generator], NDArray[np.float32]]] = {
+    "wood": _boards,
+    "steel": _brushed,
+    "cloth": _woven,
+    "concrete": _rough,
+    "cardboard": _rough,
+    "soil": _clods,
+}
+
+
+def far_view(
+    rng: np.random.Generator, kind: str, width: int, height: int, assets: Assets
+) -> NDArray[np.float32]:
+    """Generate a distant background.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Random generator.
+    kind : str
+        "photo" (from the assets, or "leaves" without any), "leaves", "film" (a pale wall of plastic
+        or glass) or "dark".
+    width, height : int
+        Pixels.
+    assets : Assets
+        Assets with backgrounds.
+
+    Returns
+    -------
+    ndarray of float32, shape (height, width, 3)
+        Linear RGB.
+    """
+    if kind == "photo" and assets.backgrounds:
+        return _photo(rng, assets.backgrounds, width, height)
+    if kind in ("film", "dark"):
+        return _pale(rng, width, height, float(rng.uniform(0.3, 1.6)) if kind == "film" else 0.03)
+    return _blurred_leaves(rng, width, height)
+
+
+def _photo(
+    rng: np.random.Generator, pictures: tuple[NDArray[np.uint8], ...], width: int, height: int
+) -> NDArray[np.float32]:
+    picture = pictures[rng.integers(len(pictures))]
+    rows, columns = picture.shape[:2]
+    scale = rng.uniform(0.5, 1.0) * min(columns / width, rows / height)
+    width_px, tall = max(int(scale * width), 2), max(int(scale * height), 2)
+    top, column = int(rng.integers(rows - tall + 1)), int(rng.integers(columns - width_px + 1))
+    piece: NDArray[Any] = picture[top : top + tall, column : column + width_px]
+    if rng.random() < 0.5:
+        piece = piece[:, ::-1]
+    piece = cv2.resize(np.ascontiguousarray(piece), (width, height), interpolation=cv2.INTER_LINEAR)
+    tone = np.exp(rng.normal(0, 0.3)) * (1 + 0.08 * rng.standard_normal(3))
+    light = to_linear(piece) * tone.astype(np.float32)
+    blur = rng.uniform(0, 2.5) * width / 1280
+    return np.asarray(cv2.GaussianBlur(light, (0, 0), blur) if blur > 0.3 else light)
+
+
+def _pale(rng: np.random.Generator, width: int, height: int, level: float) -> NDArray[np.float32]:
+    tone = 1 + 0.12 * smooth_noise(rng, (height, width), width / 3)
+    tone += 0.25 * rng.normal() * np.linspace(-1, 1, height, dtype=np.float32)[:, None]
+    tone = np.clip(tone, 0.1, 3).astype(np.float32)
+    for _ in range(int(rng.integers(0, 7))):  # bars, gutters, posts
+        x = int(rng.integers(width))
+        thick = int(rng.integers(1, max(width // 60, 2) + 1))
+        lean = int(rng.normal(0, width / 40))
+        cv2.line(tone, (x, 0), (x + lean, height), float(rng.uniform(0.3, 1.3)), thick, cv2.LINE_AA)
+    hue = 1 + 0.05 * rng.standard_normal(3)
+    return np.asarray(level * tone[..., None] * hue, np.float32)
+
+
+def _blurred_leaves(rng: np.random.Generator, width: int, height: int) -> NDArray[np.float32]:
+    shape = height // 4 + 1, width // 4 + 1
+    tone = smooth_noise(rng, shape, width / 40) + 0.6 * smooth_noise(rng, shape, width / 110)
+    dark = to_linear(jitter(rng, (30.0, 44.0, 26.0)))
+    light = to_linear(jitter(rng, (104.0, 136.0, 66.0)))
+    view: NDArray[Any] = mix(dark, light, smoothstep(-1.2, 1.4, tone))
+    gap = smoothstep(1.0, 1.3, smooth_noise(rng, shape, width / 60) + rng.uniform(-0.4, 0.3))
+    view = mix(view, (0.8, 0.85, 0.9), gap)
+    view = cv2.GaussianBlur(view, (0, 0), rng.uniform(0.6, 3.0))
+    level = np.float32(rng.uniform(0.15, 0.8))
+    return np.asarray(level * cv2.resize(view, (width, height), interpolation=cv2.INTER_LINEAR))

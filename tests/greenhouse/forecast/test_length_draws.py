@@ -1,0 +1,144 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cucumbervision_greenhouse.forecast.growth import Growth, GrowthPrior, Link, Spreads, fit_growth
+from cucumbervision_greenhouse.forecast.length_draws import (
+    FruitState,
+    draw_lengths,
+    fruit_lines,
+    lengths_today,
+)
+
+SPREADS = Spreads(0.008, 0.002, 0.005, 0.003, 0.003)
+PRIOR = GrowthPrior(0.03, SPREADS, shortest_m=0.05)
+
+
+def known(pace_m: float, links: tuple[Link, ...] = ()) -> Growth:
+    """Return a house whose growth is known, and lasts."""
+    return Growth(
+        prior=PRIOR,
+        links=links,
+        pace_m=pace_m,
+        pace_sd_m=0.0,
+        lasting=1.0,
+        lasting_sd_m=0.0,
+        fruit_sd_m=0.005,
+    )
+
+
+def drawn(fruit: list[FruitState], growth: Growth, today: float, days: int = 7) -> np.ndarray:
+    rng = np.random.default_rng(4)
+    return draw_lengths(fruit, growth, today, days, 20000, 0.0, rng, 0.05)[0]
+
+
+def test_line_is_the_joint_normal_posterior() -> None:
+    """Held against the normal equations of a length and a growth, with the row as a measurement."""
+    days, sd_m = np.array([0.0, 2.0, 3.0]), np.array([0.004, 0.005, 0.006])
+    lengths_m, row_m = np.array([0.15, 0.20, 0.245]), 0.035
+    links = (
+        Link("a", "1", 0.0, 0.15, 0.004, 2.0, 0.20, 0.005),
+        Link("a", "1", 2.0, 0.20, 0.005, 3.0, 0.245, 0.006),
+    )
+    lines = fruit_lines([FruitState("a", "1", 0.0, 0.245, 0.006, 3.0)], known(0.03, links), 0.0)
+    design = np.array([[1, -3], [1, -1], [1, 0], [0, 1]])
+    daily = 0.003**2 + 0.003**2
+    precision = np.diag(1 / np.array([*(sd_m**2 + daily * (3 - days)), 0.005**2]))
+    covariance = np.linalg.inv(design.T @ precision @ design)
+    mean = covariance @ design.T @ precision @ np.array([*lengths_m, row_m])
+    assert lines.length_m[0, 0] + lines.length_m[1, 0] * row_m == pytest.approx(mean[0])
+    assert lines.growth_m[0, 0] + lines.growth_m[1, 0] * row_m == pytest.approx(mean[1])
+    np.testing.assert_allclose(lines.covariance[:, 0], covariance[[0, 0, 1], [0, 1, 1]])
+
+
+def test_fruit_seen_once_grow_like_their_row() -> None:
+    [fruit] = [FruitState("a", "1", 0.0, 0.20, 0.004, 2.0)]
+    growth = replace(known(0.03), rows={"1": (0.05, 0.75)})
+    mean_m, sd_m = lengths_today([fruit], growth, 4.0, 0.0)
+    # 20 cm and two days of 3 + 0.75 (5 - 3) = 4.5 cm.
+    assert mean_m[0] == pytest.approx(0.20 + 2 * 0.045)
+    row_var = 0.002**2 * (1 - 0.75)
+    daily = 0.003**2 + 0.003**2
+    expected = 0.004**2 + 4 * (row_var + 0.005**2) + 2 * daily
+    assert sd_m[0] == pytest.approx(expected**0.5)
+
+
+@pytest.mark.parametrize("scale_sd", [0.0, 0.01])
+def test_drawn_lengths_have_the_mean_and_deviation_of_today(scale_sd: float) -> None:
+    links = [
+        Link("a", "1", 0, 0.11, 0.004, 2, 0.20, 0.004),
+        *(Link(f"{k}", "1", 0, 0.15, 0.004, 2, 0.23, 0.004) for k in range(6)),
+    ]
+    growth = fit_growth(links, PRIOR)
+    fruit = [
+        FruitState("a", "1", 0.0, 0.20, 0.004, 2),
+        FruitState("b", "1", 0.0, 0.18, 0.006, 2),
+        FruitState("c", "2", 0.0, 0.18, 0.006, 2),
+    ]
+    mean_m, sd_m = lengths_today(fruit, growth, 5.0, scale_sd)
+    rng = np.random.default_rng(1)
+    lengths_m = draw_lengths(fruit, growth, 5.0, 0, 20000, scale_sd, rng, 0.05)[0][0]
+    np.testing.assert_allclose(lengths_m.mean(axis=0), mean_m, atol=0.0006)
+    np.testing.assert_allclose(lengths_m.std(axis=0), sd_m, rtol=0.03)
+    assert mean_m[0] > 0.20 + 3 * 0.036  # the fast fruit of a fast house
+    assert sd_m[2] > sd_m[1]  # a row without links
+
+
+def test_measured_shrinking_is_no_shrinking() -> None:
+    # 21 cm, two days later 19 cm: 20 ± 1 cm both times, and slow.
+    links = (Link("a", "1", 0, 0.21, 0.008, 2, 0.19, 0.008),)
+    fruit = [FruitState("a", "1", 0.0, 0.19, 0.008, 2.0)]
+    growth = known(0.03, links)
+    lengths_m = drawn(fruit, growth, 2.0)
+    assert (np.diff(lengths_m[:, :, 0], axis=0) >= 0).all()
+    assert 0.195 < lengths_m[0].mean() < 0.21
+    usual_m = drawn(fruit, known(0.03), 2.0)
+    grown_m = (lengths_m[7] - lengths_m[0]).mean()
+    assert 0.1 < grown_m < (usual_m[7] - usual_m[0]).mean() - 0.01
+
+
+def test_same_day_measured_twice_is_their_weighted_mean() -> None:
+    links = (
+        Link("a", "1", 0, 0.14, 0.012, 2, 0.20, 0.004),
+        Link("a", "1", 0, 0.15, 0.010, 2, 0.20, 0.004),
+    )
+    fruit = [FruitState("a", "1", 0.0, 0.20, 0.004, 2.0)]
+    twice = fruit_lines(fruit, known(0.03, links), 0.0)
+    daily = 2 * (0.003**2 + 0.003**2)
+    weights = 1 / (np.array([0.012, 0.010]) ** 2 + daily)
+    pooled_m, pooled_sd = float(np.average([0.14, 0.15], weights=weights)), weights.sum() ** -0.5
+    link = Link("a", "1", 0, pooled_m, float((pooled_sd**2 - daily) ** 0.5), 2, 0.20, 0.004)
+    once = fruit_lines(fruit, known(0.03, (link,)), 0.0)
+    np.testing.assert_allclose(twice.growth_m, once.growth_m)
+    np.testing.assert_allclose(twice.covariance, once.covariance)
+
+
+def test_days_without_a_round_widen_today() -> None:
+    fruit = [FruitState("a", "1", 0.0, 0.15, 0.004)]
+    sds = [float(lengths_today(fruit, fit_growth([], PRIOR), day, 0.0)[1][0]) for day in range(5)]
+    assert sds[0] == pytest.approx(0.004)
+    assert np.diff(sds).min() > 0.005
+    # The house, its row, the fruit, and four days.
+    of_growth = 0.008**2 + 0.002**2 + 0.005**2
+    expected = 0.004**2 + 4**2 * of_growth + 4 * (0.003**2 + 0.003**2)
+    assert sds[4] == pytest.approx(expected**0.5)
+
+
+def test_today_does_not_depend_on_the_days_ahead() -> None:
+    fruit = [FruitState("a", "1", 0.0, 0.15, 0.004)]
+    growth = fit_growth([], PRIOR)
+    np.testing.assert_array_equal(
+        drawn(fruit, growth, 2.0, days=0)[0], drawn(fruit, growth, 2.0, days=5)[0]
+    )
+
+
+def test_growth_that_slows_never_passes_the_full_length() -> None:
+    growth = replace(known(0.03), prior=replace(PRIOR, full_m=0.40))
+    lengths_m = drawn([FruitState("a", "1", 0.0, 0.30, 0.001)], growth, 0.0, days=30)
+    # From 30 cm the distance to 40 cm falls by 2 * 3 / 40 a day.
+    assert lengths_m[1].mean() == pytest.approx(0.315, abs=0.0005)
+    assert lengths_m[30].max() < 0.41
+    assert lengths_m[30].mean() > 0.38

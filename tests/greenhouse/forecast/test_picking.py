@@ -1,0 +1,71 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from cucumbervision.crop.profiles import load_profile
+from cucumbervision_greenhouse.forecast.forecast import Forecast, forecast
+from cucumbervision_greenhouse.forecast.growth import GrowthPrior, fit_growth
+from cucumbervision_greenhouse.forecast.length_draws import FruitState
+from cucumbervision_greenhouse.forecast.picking import PickKind, pick_list, work_of
+
+LONG = load_profile("long-cucumber")
+FRUIT = [
+    FruitState("a", "10", 1.0, 0.30, 0.003),
+    FruitState("b", "2", 5.0, 0.30, 0.003, side="left"),
+    FruitState("c", "2", 2.0, 0.26, 0.003, side="right"),
+    FruitState("d", "2", 3.0, 0.20, 0.003),
+    FruitState("e", "10", 4.0, 0.38, 0.003),
+    FruitState("f", "10", 2.0, 0.25, 0.01),
+]
+
+
+def found(fruit: list[FruitState]) -> Forecast:
+    return forecast(fruit, fit_growth([], GrowthPrior.of(LONG)), LONG)
+
+
+def test_list_is_in_walking_order_with_fruit_too_long_in_it() -> None:
+    picks = pick_list(found(FRUIT))
+    assert [(p.fruit.fruit_id, p.name, p.kind) for p in picks] == [
+        ("c", "I", PickKind.READY),
+        ("b", "I", PickKind.READY),
+        ("e", "too long", PickKind.TOO_LONG),
+        ("f", "undecided", PickKind.UNDECIDED),
+        ("a", "I", PickKind.READY),
+    ]
+    assert picks[3].possible == ("II", "I")
+    assert 0.35 < picks[3].ready < 0.65
+    assert work_of(picks).fruit == 3
+
+
+@pytest.mark.parametrize("today", [0.0, 1.0])
+def test_fruit_of_other_rows_change_nothing_for_a_fruit(today: float) -> None:
+    """The forecast draws lengths: with other fruit beside them, other ones."""
+    uncertain = [FruitState(str(k), "2", 0.1 * k, 0.20 + 0.004 * k, 0.006) for k in range(25)]
+
+    def listed(fruit: list[FruitState]) -> dict[str, tuple[str, ...]]:
+        growth = fit_growth([], GrowthPrior.of(LONG))
+        picks = pick_list(forecast(fruit, growth, LONG, today=today))
+        return {p.fruit.fruit_id: p.possible for p in picks if p.fruit.row == "2"}
+
+    alone = listed(uncertain)
+    assert len(set(alone.values())) > 1
+    for count in (1, 7, 30):
+        more = [FruitState(f"m{k}", "1", 0.1 * k, 0.26, 0.01) for k in range(count)]
+        assert listed([*more, *uncertain]) == alone
+
+
+def test_what_a_grade_decided_stands_on_its_day_and_grows_afterwards() -> None:
+    state = FruitState("a", "1", 0.0, 0.24, 0.02, possible=("II",))
+    bound = replace(state, fruit_id="b", possible=("II", "I", "too long"), at_least=True)
+    growth = fit_growth([], GrowthPrior.of(LONG))
+    assert forecast([state, bound], growth, LONG).possible == (state.possible, bound.possible)
+    later = forecast([replace(state, sd_m=0.003), bound], growth, LONG, today=2.0)
+    # About 30 cm, by the profile's growth.
+    assert later.possible == (("I",), ("I", "too long"))
+
+
+def test_picked_fruit_are_not_listed_again() -> None:
+    left = [replace(one, picked=one.fruit_id in {"b", "e"}) for one in FRUIT]
+    assert [p.fruit.fruit_id for p in pick_list(found(left))] == ["c", "f", "a"]

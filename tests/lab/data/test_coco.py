@@ -1,0 +1,255 @@
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cucumbervision.capture.pictures import write_png
+from cucumbervision.errors import DataSetError
+from cucumbervision_lab.data.coco import (
+    collect_fragments,
+    read_coco,
+    write_coco,
+    write_fragment,
+)
+from cucumbervision_lab.data.labels import DataSet, Label, LabelledPicture
+
+MakeSet = Callable[..., DataSet]
+
+
+def assert_same_label(a: Label, b: Label) -> None:
+    np.testing.assert_allclose(a.box, b.box, atol=0.001)
+    assert (a.category, a.hidden_share, a.cut_off, a.ignore, a.pseudo, a.extras) == (
+        b.category,
+        b.hidden_share,
+        b.cut_off,
+        b.ignore,
+        b.pseudo,
+        b.extras,
+    )
+    assert (a.mask_code, a.amodal_code) == (b.mask_code, b.amodal_code)
+    if a.keypoints is None or b.keypoints is None:
+        assert a.keypoints is b.keypoints
+    else:
+        np.testing.assert_allclose(a.keypoints, b.keypoints, atol=0.001)
+
+
+def assert_same_picture(a: LabelledPicture, b: LabelledPicture) -> None:
+    plain = [{k: v for k, v in vars(p).items() if k != "labels"} for p in (a, b)]
+    assert plain[0] == plain[1]
+    for label, other in zip(a.labels, b.labels, strict=True):
+        assert_same_label(label, other)
+
+
+def test_the_hub_form_gives_everything_back(make_set: MakeSet, tmp_path: Path) -> None:
+    dataset = make_set()
+    out = tmp_path / "hub"
+    written = write_coco(dataset, out)
+    back = read_coco(out)
+    assert back.refused == ()
+    assert back.categories == ("cucumber",)
+    assert back.folder == written.folder == out
+    for a, b in zip(dataset.pictures, back.pictures, strict=True):
+        assert_same_picture(a, b)
+        assert back.path(b).read_bytes() == dataset.path(a).read_bytes()
+        assert b.depth_file is not None
+        assert (out / b.depth_file).is_file()
+
+
+def test_in_its_own_folder_only_the_json_is_written(make_set: MakeSet) -> None:
+    dataset = make_set()
+    before = {p: p.stat().st_mtime_ns for p in dataset.folder.rglob("*.png")}
+    write_coco(dataset, dataset.folder)
+    assert {p: p.stat().st_mtime_ns for p in dataset.folder.rglob("*.png")} == before
+    assert len(read_coco(dataset.folder / "annotations.json").pictures) == 4
+
+
+@pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")  # pycocotools
+def test_annotations_are_coco_for_other_tools(make_set: MakeSet) -> None:
+    coco = pytest.importorskip("pycocotools.coco")
+    dataset = make_set()
+    write_coco(dataset, dataset.folder)
+    data = coco.COCO(str(dataset.folder / "annotations.json"))
+    label = dataset.pictures[0].labels[0]
+    found = data.loadAnns(data.getAnnIds(imgIds=[1]))[0]
+    assert (data.annToMask(found).astype(bool) == label.mask).all()
+    # Columns 20 to 64, rows 40 to 55, counted from the corner.
+    assert found["bbox"] == [20, 40, 45, 16]
+    assert found["area"] == 45 * 16
+    assert found["keypoints"] == [
+        20.5,
+        48.5,
+        2,
+        35.5,
+        48.5,
+        2,
+        50.5,
+        48.5,
+        2,
+        65.5,
+        48.5,
+        1,
+        0,
+        0,
+        0,
+    ]
+    assert found["num_keypoints"] == 4
+
+
+def test_fragments_collect_to_the_same_set(make_set: MakeSet) -> None:
+    dataset = make_set()
+    for k, picture in enumerate(dataset.pictures):
+        write_fragment(picture, dataset.folder / f"fragments/{k:06d}.json")
+    assert not list(dataset.folder.rglob("*.part"))
+    back = collect_fragments(dataset.folder)
+    assert back.refused == ()
+    for a, b in zip(dataset.pictures, back.pictures, strict=True):
+        assert_same_picture(a, b)
+
+
+def test_a_damaged_fragment_loses_only_itself(make_set: MakeSet) -> None:
+    dataset = make_set()
+    for k, picture in enumerate(dataset.pictures):
+        write_fragment(picture, dataset.folder / f"fragments/{k}.json")
+    broken = dataset.folder / "fragments/1.json"
+    broken.write_text(broken.read_text()[:90])
+    (dataset.folder / "fragments/2.json").write_text('{"image": {}}')
+    back = collect_fragments(dataset.folder)
+    assert [p.file for p in back.pictures] == ["images/000000.png", "images/000003.png"]
+    assert [Path(str(e.source)).name for e in back.refused] == [
+        "1.json",
+        "2.json",
+    ]
+
+
+def test_numbers_of_numpy_are_written_and_nan_is_refused(make_set: MakeSet, tmp_path: Path) -> None:
+    picture = make_set().pictures[0]
+    label = Label(np.array([1.0, 2, 30, 40]), extras={"radius_m": np.array([0.0, 0.02])})
+    file = tmp_path / "a.json"
+    write_fragment(LabelledPicture(picture.file, 160, 120, (label,)), file)
+    assert json.loads(file.read_text())["annotations"][0]["extras"] == {"radius_m": [0.0, 0.02]}
+    bad = Label(np.array([1.0, 2, 30, 40]), extras={"thread_m": float("nan")})
+    with pytest.raises(DataSetError, match="cannot be written as JSON"):
+        write_fragment(LabelledPicture(picture.file, 160, 120, (bad,)), file)
+
+
+def roboflow(folder: Path) -> None:
+    """As Roboflow exports COCO: a group as category 0, polygons and RLE, one folder a split."""
+    for split, segmentation in {
+        "train": [[10, 20, 40, 20, 40, 25, 40, 30, 10, 30]],
+        "valid": {"size": [60, 80], "counts": [20, 2, 60 * 80 - 22]},
+    }.items():
+        (folder / split).mkdir(parents=True)
+        write_png(folder / split / "a_jpg.rf.1.png", np.zeros((60, 80, 3), np.uint8))
+        data = {
+            "categories": [
+                {"id": 0, "name": "veg", "supercategory": "none"},
+                {"id": 1, "name": "cucumber", "supercategory": "veg"},
+            ],
+            "images": [{"id": 0, "file_name": "a_jpg.rf.1.png", "width": 80, "height": 60}],
+            "annotations": [
+                {
+                    "id": 0,
+                    "image_id": 0,
+                    "category_id": 1,
+                    "bbox": [10, 20, 30, 10],
+                    "area": 300,
+                    "segmentation": segmentation,
+                    "iscrowd": 0,
+                }
+            ],
+        }
+        (folder / split / "_annotations.coco.json").write_text(json.dumps(data))
+
+
+def test_roboflow_export(tmp_path: Path) -> None:
+    roboflow(tmp_path)
+    dataset = read_coco(tmp_path)
+    assert dataset.refused == ()
+    assert dataset.categories == ("cucumber",)
+    assert [(p.file, p.split) for p in dataset.pictures] == [
+        ("train/a_jpg.rf.1.png", "train"),
+        ("valid/a_jpg.rf.1.png", "val"),
+    ]
+    label, other = (p.labels[0] for p in dataset.pictures)
+    assert label.box.tolist() == [9.5, 19.5, 39.5, 29.5]
+    wanted = np.zeros((60, 80), bool)
+    wanted[20:30, 10:40] = True
+    assert label.mask is not None
+    assert other.mask is not None
+    assert (label.mask == wanted).all()
+    assert np.argwhere(other.mask).tolist() == [[20, 0], [21, 0]]
+    # Written as a hub set, the two pictures of one name stay two.
+    back = read_coco(write_coco(dataset, tmp_path / "hub").folder)
+    assert [p.file for p in back.pictures] == [
+        "images/a_jpg.rf.1.png",
+        "images/valid_a_jpg.rf.1.png",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("change", "fault"),
+    [
+        ({"bbox": [10, 20, 0, 10]}, "has no area"),
+        ({"bbox": [70, 20, 30, 10]}, "extends beyond the picture of 80x60"),
+        ({"bbox": [float("inf"), 20, 30, 10]}, "not finite"),
+        ({"category_id": 7}, "its category 7 is not listed"),
+        ({"segmentation": [[1, 2, 3, 4]]}, "fewer than three points"),
+        ({"segmentation": {"size": [60, 81], "counts": "1"}}, "a mask of 81x60"),
+        ({"segmentation": {"size": [60, 80], "counts": [1, 2]}}, "do not fill 80x60"),
+        ({"segmentation": {"size": [60, 80], "counts": [2**62] * 4 + [4800]}}, "do not fill"),
+        ({"segmentation": {"size": [60, 80], "counts": "ooooooooooooooo0"}}, "more digits"),
+        ({"segmentation": {"size": [60, 80]}}, "key 'counts' is missing"),
+        ({"bbox": [10**400, 20, 30, 10]}, "too large"),
+        ({"keypoints": [1, 2, 2]}, "has 3 keypoint numbers, not 15"),
+    ],
+)
+def test_a_broken_annotation_is_refused_alone(
+    tmp_path: Path, change: dict[str, object], fault: str
+) -> None:
+    roboflow(tmp_path)
+    file = tmp_path / "train/_annotations.coco.json"
+    data = json.loads(file.read_text())
+    good = data["annotations"][0]
+    data["annotations"] = [{**good, "id": 3, **change}, good]
+    file.write_text(json.dumps(data))
+    dataset = read_coco(tmp_path)
+    assert [len(p.labels) for p in dataset.pictures] == [1, 1]
+    (error,) = dataset.refused
+    assert fault in str(error)
+    assert str(error).startswith(f"{file}: annotation 3: ")
+
+
+def test_what_names_no_picture_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "x.json"
+    images = [{"id": 1, "file_name": "a.png"}]
+    lost = [{"image_id": 5}, {}]
+    file.write_text(json.dumps({"images": images, "annotations": lost, "categories": []}))
+    dataset = read_coco(file)
+    assert dataset.pictures == ()
+    assert sorted(e.message for e in dataset.refused) == [
+        "annotation 1 names no picture",
+        "image 1: key 'width' is missing",
+        "image 5: has 1 annotations but is not listed",
+    ]
+    with pytest.raises(DataSetError, match="holds neither"):
+        read_coco(tmp_path)
+    file.write_text("[]")
+    with pytest.raises(DataSetError, match="no list of images"):
+        read_coco(file)
+
+
+def test_crowds_are_ignored_and_ignored_are_crowds(tmp_path: Path, make_set: MakeSet) -> None:
+    dataset = make_set("train")
+    picture = dataset.pictures[0]
+    region = Label(np.array([9.5, 9.5, 29.5, 29.5]), ignore=True)
+    write_coco(
+        DataSet(dataset.folder, (LabelledPicture(picture.file, 160, 120, (region,)),)),
+        dataset.folder,
+    )
+    data = json.loads((dataset.folder / "annotations.json").read_text())
+    assert data["annotations"][0]["iscrowd"] == 1
+    assert read_coco(dataset.folder).pictures[0].labels[0].ignore

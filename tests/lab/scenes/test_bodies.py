@@ -1,0 +1,71 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from cucumbervision_lab.scenes.bodies import (
+    Tube,
+    arc_tube,
+    bent_tube,
+    random_fruit,
+)
+
+
+@pytest.mark.parametrize("length_m", [0.069, 0.1472, 0.2570, 0.38])
+def test_random_fruit_have_the_length_asked_and_a_believable_thickness(length_m: float) -> None:
+    rng = np.random.default_rng(7)
+    low, high = {0.069: (1.1, 1.7), 0.1472: (1.4, 2.2), 0.2570: (1.9, 2.7), 0.38: (1.9, 2.7)}[
+        length_m
+    ]
+    for _ in range(20):
+        fruit = random_fruit(rng, length_m)
+        assert fruit.centreline_m == pytest.approx(length_m, abs=1e-9)
+        assert low < 100 * fruit.radii_m.max() < high
+        assert fruit.chord_m <= fruit.centreline_m
+        assert fruit.centreline_m <= fruit.thread_m < 1.25 * fruit.centreline_m
+        slope = np.abs(np.diff(fruit.radii_m)) / np.linalg.norm(np.diff(fruit.centres_m, axis=0))
+        assert slope.max() < 1.0
+
+
+def test_constant_curvature_is_the_arc() -> None:
+    mine = bent_tube(0.26, np.full(800, 0.018), np.full(800, -1 / 0.2))
+    arc = arc_tube(0.26, 0.018, 0.2)
+    assert mine.chord_m == pytest.approx(arc.chord_m, rel=1e-6)
+    assert mine.thread_m == pytest.approx(arc.thread_m, rel=1e-5)
+    assert (mine.outward == arc.outward).all()
+
+
+def test_the_larger_bend_faces_outward() -> None:
+    share = np.linspace(0, 1, 800)
+    for sign in (1, -1):
+        curvature = sign * np.where(share < 0.7, 1 / 0.25, -1 / 0.5)
+        tube = bent_tube(0.3, np.full(800, 0.02), curvature)
+        middle = tube.centres_m[280]
+        ends = (tube.centres_m[0] + tube.centres_m[560]) / 2
+        assert (middle - ends) @ tube.outward > 0.005
+
+
+def test_a_straight_tube_by_hand() -> None:
+    tube = arc_tube(0.20, 0.02)
+    assert tube.chord_m == pytest.approx(0.20)
+    assert tube.thread_m == pytest.approx(0.20)
+
+
+@pytest.mark.parametrize("bend_radius_m", [0.15, 0.40])
+def test_a_bent_tube_by_hand(bend_radius_m: float) -> None:
+    r, length = 0.018, 0.26
+    tube = arc_tube(length, r, bend_radius_m)
+    angle = (length - 2 * r) / bend_radius_m
+    assert tube.thread_m == pytest.approx((bend_radius_m + r) * angle + 2 * r, rel=2e-4)
+    # The poles lie r further along the tangents, which stand at half the angle to the chord.
+    chord = 2 * bend_radius_m * np.sin(angle / 2) + 2 * r * np.cos(angle / 2)
+    assert tube.chord_m == pytest.approx(chord, rel=1e-4)
+
+
+def test_helix_by_hand(helix: Callable[[float, float, float], NDArray[np.float64]]) -> None:
+    tube = Tube(helix(0.02, 0.15, 1.5), np.full(2000, 0.008), np.array([0.0, 1.0, 0.0]))
+    by_hand = 1.5 * np.hypot(2 * np.pi * 0.02, 0.15) + 2 * 0.008
+    assert tube.centreline_m == pytest.approx(by_hand, rel=1e-5)

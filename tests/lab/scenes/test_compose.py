@@ -1,0 +1,91 @@
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from cucumbervision.capture.intrinsics import Intrinsics
+from cucumbervision_lab.scenes.compose import HARD, MOST_FRUIT, Difficulty, Setting, compose
+from cucumbervision_lab.scenes.scene import Kind, render, truth_of
+
+CAMERA = Intrinsics(320, 180, 228.0, 228.0, 160.0, 90.0)
+
+
+@pytest.mark.parametrize("setting", list(Setting))
+@pytest.mark.parametrize("seed", range(8))
+def test_every_scene_can_be_drawn_and_its_parts_have_names(setting: Setting, seed: int) -> None:
+    staged = compose(np.random.default_rng(seed), CAMERA, setting)
+    scene = staged.scene
+    assert len(staged.leaf_roles) == len(scene.leaves)
+    assert len(staged.stem_roles) == len(scene.stems)
+    assert len(staged.cucumber) == len(scene.fruit)
+    assert sum(staged.cucumber) <= MOST_FRUIT
+    view = render(scene, CAMERA)
+    for truth in truth_of(scene, CAMERA, view):
+        assert 0.0 <= truth.hidden_share <= 1.0
+        assert 0.06 <= truth.centreline_m <= 0.4001
+    assert np.isin(view.kind, [int(kind) for kind in Kind]).all()
+
+
+def test_the_same_seed_gives_the_same_scene() -> None:
+    a, b = (compose(np.random.default_rng(7), CAMERA, Setting.HANGING) for _ in range(2))
+    np.testing.assert_array_equal(render(a.scene, CAMERA).depth_m, render(b.scene, CAMERA).depth_m)
+
+
+def test_hanging_fruit_keep_apart() -> None:
+    for seed in range(12):
+        fruit = compose(np.random.default_rng(seed), CAMERA, Setting.HANGING).scene.fruit
+        for a, b in combinations(fruit, 2):
+            gap = np.linalg.norm(a.centres_m[:, None] - b.centres_m[None], axis=2)
+            assert (gap - a.radii_m[:, None] - b.radii_m[None]).min() > -0.003
+
+
+def test_many_scenes_are_as_varied_as_growers_meet_them() -> None:
+    counts, hidden, decoys, tilts = [], [], 0, []
+    for seed in range(60):
+        setting = list(Setting)[seed % 3]
+        staged = compose(np.random.default_rng(seed), CAMERA, setting)
+        counts.append(sum(staged.cucumber))
+        decoys += len(staged.cucumber) - sum(staged.cucumber)
+        for body, truth in zip(staged.scene.fruit, truth_of(staged.scene, CAMERA), strict=True):
+            hidden.append(truth.hidden_share)
+            chord = body.poles_m[1] - body.poles_m[0]
+            tilts.append(np.degrees(np.arcsin(abs(chord[2]) / np.linalg.norm(chord))))
+    assert min(counts) == 0
+    assert max(counts) >= 10
+    assert decoys > 0
+    assert 0.1 < np.mean(hidden) < 0.6
+    assert np.mean(np.array(hidden) < 0.05) > 0.2
+    assert np.percentile(tilts, 90) > 25
+
+
+def test_hanging_fruit_hang_down_and_lying_ones_lie_level() -> None:
+    for seed in range(10):
+        hung = compose(np.random.default_rng(seed), CAMERA, Setting.HANGING)
+        lain = compose(np.random.default_rng(seed), CAMERA, Setting.BENCH)
+        for staged in (hung, lain):
+            assert np.linalg.norm(staged.up) == pytest.approx(1)
+        # The stem end is up, but for a fruit that leans far over.
+        rises = [(f.poles_m[1] - f.poles_m[0]) @ np.array(hung.up) for f in hung.scene.fruit]
+        assert np.mean([rise > 0 for rise in rises] or [1]) > 0.8
+        for fruit in lain.scene.fruit:
+            assert abs((fruit.poles_m[1] - fruit.poles_m[0]) @ np.array(lain.up)) < 0.02
+
+
+def test_an_unknown_setting_is_refused() -> None:
+    with pytest.raises(ValueError, match="shelf"):
+        compose(np.random.default_rng(1), CAMERA, "shelf")
+
+
+def test_hard_scenes_show_more_fruit_at_more_distances() -> None:
+    def counts_and_depths(*difficulty: Difficulty) -> tuple[list[int], list[float]]:
+        counts, depths = [], []
+        for seed in range(40):
+            staged = compose(np.random.default_rng(seed), CAMERA, Setting.BENCH, *difficulty)
+            counts.append(sum(staged.cucumber))
+            depths += [float(body.centres_m[:, 2].mean()) for body in staged.scene.fruit]
+        return counts, depths
+
+    plain, plain_m = counts_and_depths()
+    hard, hard_m = counts_and_depths(HARD)
+    assert np.mean(hard) > 1.3 * np.mean(plain)
+    assert max(hard_m) > 1.25 * max(plain_m)

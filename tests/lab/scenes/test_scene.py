@@ -1,0 +1,153 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cucumbervision.capture.intrinsics import Intrinsics
+from cucumbervision.tube.camera import Distortion
+from cucumbervision_lab.scenes.bodies import Tube, arc_tube, random_fruit, rotation
+from cucumbervision_lab.scenes.placing import occlude, place_hanging, trellis
+from cucumbervision_lab.scenes.raycast import (
+    Plane,
+    Stem,
+)
+from cucumbervision_lab.scenes.scene import Kind, Scene, render, truth_of
+
+CAMERA = Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0)
+
+
+def test_moving_the_scene_is_moving_the_camera() -> None:
+    rng = np.random.default_rng(4)
+    scene = trellis(rng, CAMERA, (place_hanging(random_fruit(rng, 0.2), (0.0, 0.0, 0.5)),))
+    turn, by = rotation(2, -1, 3), np.array([0.01, -0.02, 0.03])
+    back = scene.moved(turn, by).moved(turn.T, -turn.T @ by)
+    first, again = render(scene, CAMERA), render(back, CAMERA)
+    same = first.kind == again.kind
+    assert same.mean() > 0.9999
+    assert np.abs(first.depth_m - again.depth_m)[same & (first.body == again.body)].max() < 1e-6
+
+
+def test_masks_and_hidden_share() -> None:
+    tube = arc_tube(0.2, 0.02).moved(np.eye(3), (0, 0, 0.5))
+    rod = Stem(np.array([[0.04, -0.3, 0.4], [0.04, 0.3, 0.4]]), 0.01)
+    scene = Scene((tube,), stems=(rod,), planes=(Plane.facing(0.9),))
+    view = render(scene, CAMERA)
+    (truth,) = truth_of(scene, CAMERA, view)
+    alone = render(Scene((tube,)), CAMERA).mask(0)
+    assert (truth.amodal == alone).all()
+    assert (truth.visible == (alone & (view.kind != Kind.STEM))).all()
+    # The rod at 0.4 m spans 2 * 0.01 / 0.4 * 600 = 30 px of the fruit's 0.2 / 0.5 * 600 = 240.
+    assert truth.hidden_share == pytest.approx(30 / 240, abs=0.015)
+    assert not truth.cut_off
+    # KP0 to KP4 stand at x = -0.1, -0.05 ... at 0.5 m; the rod is seen at 365 to 395 px.
+    assert truth.keypoints_px[:, 0] == pytest.approx([200, 260, 320, 380, 440], abs=1e-6)
+    assert truth.keypoint_visibility.tolist() == [2, 2, 2, 1, 2]
+    assert truth.axis_m.shape == (len(truth.radius_m), 3)
+    assert truth.radius_m[[0, -1]].tolist() == [0.0, 0.0]
+
+
+def test_an_end_behind_the_fruits_own_body_is_hidden() -> None:
+    # Tilted by 70 degrees, the near end covers most of the rest: the far pole is out of sight.
+    tube = place_hanging(arc_tube(0.12, 0.02), (0.0, 0.0, 0.5), roll_deg=0, tilt_deg=75)
+    (truth,) = truth_of(Scene((tube,)), CAMERA)
+    assert tube.poles_m[1, 2] > tube.poles_m[0, 2]
+    assert truth.keypoint_visibility[4] == 1
+    assert truth.keypoint_visibility[0] == 2
+
+
+@pytest.mark.parametrize("share", [0.2, 0.4, 0.55])
+@pytest.mark.parametrize("tilt_deg", [0.0, 45.0])
+def test_cover_hides_the_share_asked_and_leaves_the_ends(share: float, tilt_deg: float) -> None:
+    rng = np.random.default_rng(12)
+    for length_m in (0.15, 0.30):
+        fruit = place_hanging(random_fruit(rng, length_m), (0.0, 0.0, 0.55), tilt_deg=tilt_deg)
+        scene = occlude(Scene((fruit,)), CAMERA, 0, share, rng)
+        (truth,) = truth_of(scene, CAMERA)
+        assert truth.hidden_share == pytest.approx(share, abs=0.03)
+        whole = truth.amodal
+        ends = (whole & ~truth.visible)[np.flatnonzero(whole.any(axis=1))[[2, -3]]]
+        assert not ends.any()
+
+
+def test_cover_of_an_end_hides_one_end() -> None:
+    rng = np.random.default_rng(3)
+    fruit = place_hanging(random_fruit(rng, 0.25), (0.0, 0.0, 0.55))
+    (truth,) = truth_of(occlude(Scene((fruit,)), CAMERA, 0, 0.3, rng, ends_free=False), CAMERA)
+    assert truth.hidden_share == pytest.approx(0.3, abs=0.03)
+    assert sorted(truth.keypoint_visibility[[0, 4]].tolist()) == [1, 2]
+
+
+def test_a_cover_never_reaches_behind_the_camera() -> None:
+    unchanged = 0
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        fruit = place_hanging(random_fruit(rng, 0.4), (0.0, 0.0, 0.3), tilt_deg=75.0)
+        bare = Scene((fruit,))
+        covered = occlude(bare, CAMERA, 0, 0.6, rng, ends_free=False)
+        truth_of(covered, CAMERA)  # raises if anything is behind it
+        unchanged += covered is bare
+    assert unchanged > 0
+
+
+def test_a_trellis_hides_no_fruit() -> None:
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        fruit = tuple(
+            place_hanging(
+                random_fruit(rng, 0.2), (x, 0.0, 0.55), tilt_deg=20.0, spin_deg=rng.uniform(0, 360)
+            )
+            for x in (-0.12, 0.12)
+        )
+        scene = trellis(rng, CAMERA, fruit)
+        view = render(scene, CAMERA)
+        assert [t.hidden_share for t in truth_of(scene, CAMERA, view)] == [0.0, 0.0]
+        assert (view.kind == Kind.LEAF).mean() > 0.4
+        assert (view.depth_m > 0).all()
+
+
+def test_every_seen_point_lies_on_the_surface() -> None:
+    tube = arc_tube(0.2, 0.02, 0.25).moved(rotation(30, 25, 70), (0.03, -0.02, 0.5))
+    scene = render(Scene.of(tube), CAMERA)
+    v, u = np.nonzero(scene.mask(0))
+    x, y = CAMERA.rays(u, v)
+    points = np.stack([x, y, np.ones_like(x)], axis=1) * scene.depth_m[v, u][:, None]
+    # Distance to the axis as a polyline of 800 balls: the ripple is far below a micrometre.
+    gap = np.min(
+        np.linalg.norm(points[::37, None] - tube.centres_m[None], axis=2) - tube.radii_m, axis=1
+    )
+    assert np.abs(gap).max() < 1e-6
+
+
+def test_a_ball_has_its_analytic_outline() -> None:
+    ball = Tube(
+        np.array([[0.0, 0, 0.5], [0.0, 0, 0.5001]]), np.full(2, 0.03), np.array([0.0, -1, 0])
+    )
+    scene = render(Scene.of(ball), CAMERA)
+    # A ball straight ahead is seen within tan(asin(r / z)).
+    radius_px = 600 * np.tan(np.arcsin(0.03 / 0.5))
+    assert scene.mask(0).sum() == pytest.approx(np.pi * radius_px**2, rel=0.01)
+    assert scene.depth_m[240, 320] == pytest.approx(0.47)
+    assert scene.normal[240, 320] == pytest.approx([0, 0, -1])
+
+
+def test_shares_run_from_blossom_to_stem_end() -> None:
+    tube = arc_tube(0.2, 0.02).moved(rotation(), (0, 0, 0.5))
+    scene = render(Scene.of(tube), CAMERA)
+    row = scene.share[240][scene.mask(0)[240]]
+    assert row[0] == 0.0
+    assert row[-1] == 1.0
+    assert (np.diff(row) >= 0).all()
+
+
+def test_lens_distortion_moves_the_outline() -> None:
+    bent = Intrinsics(
+        640, 480, 600.0, 600.0, 320.0, 240.0,
+        distortion=Distortion.BROWN_CONRADY, coefficients=(0.2, 0, 0, 0, 0),
+    )  # fmt: skip
+    tube = arc_tube(0.2, 0.02).moved(rotation(), (0.12, 0, 0.5))
+    plain, seen = render(Scene.of(tube), CAMERA).mask(0), render(Scene.of(tube), bent).mask(0)
+    # Barrel or pincushion: with k1 > 0 a point at x/z is seen at x/z (1 + k1 (x/z)^2).
+    right = np.flatnonzero(plain.any(axis=0))[-1]
+    moved = np.flatnonzero(seen.any(axis=0))[-1]
+    slope = (right - 320) / 600
+    assert moved - right == pytest.approx(600 * 0.2 * slope**3, abs=1.5)

@@ -1,0 +1,105 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cucumbervision.capture.intrinsics import Intrinsics
+from cucumbervision_lab.scenes.appearance import Assets, Style, random_style
+from cucumbervision_lab.scenes.bodies import arc_tube
+from cucumbervision_lab.scenes.lighting import Light
+from cucumbervision_lab.scenes.placing import place_hanging, string, trellis
+from cucumbervision_lab.scenes.raycast import Leaf, Plane, Stem
+from cucumbervision_lab.scenes.scene import Kind, Scene, View, render
+from cucumbervision_lab.scenes.shading import shade
+from cucumbervision_lab.scenes.skin import Skin
+
+CAMERA = Intrinsics(320, 240, 300.0, 300.0, 160.0, 120.0)
+NONE = Assets()
+MATT = Skin((60.0, 110.0, 50.0), (60.0, 110.0, 50.0), (60.0, 110.0, 50.0), gloss=0.0)
+FRUIT = place_hanging(arc_tube(0.2, 0.02), (0.0, 0.0, 0.45), roll_deg=0.0)
+EVEN = Light((0.0, -1.0, 0.0), environment=0)
+ALL_ROUND = Assets(environments=(np.full((64, 128, 3), 1.0, np.float32),))
+ON_PAPER = Scene((FRUIT,), planes=(Plane.facing(0.6),))
+
+
+def painted(
+    scene: Scene, style: Style, assets: Assets = NONE, seed: int = 1
+) -> tuple[np.ndarray, View]:
+    view = render(scene, CAMERA)
+    return shade(scene, view, CAMERA, style, assets, np.random.default_rng(seed)), view
+
+
+def paper(light: Light, skin: Skin = MATT) -> Style:
+    return Style(
+        (skin,),
+        light,
+        materials=("paper",),
+        material_colors=((188.0, 188.0, 188.0),),
+        gloom_per_m=0.0,
+    )
+
+
+def test_under_even_light_a_body_shows_its_own_colour() -> None:
+    linear, view = painted(ON_PAPER, paper(EVEN), ALL_ROUND)
+    # sRGB 188 is half the light (0.503), 110 is 0.156; corners take a little.
+    assert np.median(linear[view.kind == Kind.PLANE]) == pytest.approx(0.503, rel=0.1)
+    middle = view.mask(0) & (np.abs(view.share - 0.5) < 0.2)
+    assert np.median(linear[middle][:, 1]) == pytest.approx(0.156, rel=0.2)
+
+
+def test_leaves_and_rods_take_their_colours() -> None:
+    leaf = Leaf(np.array([-0.1, 0.0, 0.5]), np.eye(3), 0.06, 0.05)
+    rod = Stem(np.array([[0.1, -0.1, 0.5], [0.1, 0.1, 0.5]]), 0.008)
+    scene = Scene((), (leaf,), (rod,))
+    style = Style(
+        (),
+        EVEN,
+        leaf_colors=((60.0, 120.0, 50.0),),
+        stem_colors=((200.0, 60.0, 60.0),),
+        leaf_roles=("leaf",),
+        stem_roles=("string",),
+        gloom_per_m=0.0,
+    )
+    linear, view = painted(scene, style, ALL_ROUND)
+    green = linear[view.kind == Kind.LEAF].mean(axis=0)
+    red = linear[view.kind == Kind.STEM].mean(axis=0)
+    assert green.argmax() == 1
+    assert red[0] > 4 * red[1]
+    # A leaf also passes light on from behind.
+    assert green[1] > 0.19  # sRGB 120 is 0.188
+
+
+def test_every_kind_of_scene_is_painted_whole_and_the_same_again() -> None:
+    rng = np.random.default_rng(3)
+    hanging = trellis(rng, CAMERA, (FRUIT,))
+    hanging = replace(hanging, stems=(*hanging.stems, string(rng, 0.0, 0.42)))
+    for setting, scene in (("hanging", hanging), ("bench", ON_PAPER), ("crate", ON_PAPER)):
+        for seed in range(3):
+            style = random_style(np.random.default_rng(seed), scene, NONE, setting)
+            linear, view = painted(scene, style, seed=seed)
+            assert linear.shape == (240, 320, 3)
+            assert linear.dtype == np.float32
+            assert np.isfinite(linear).all()
+            assert (linear >= 0).all()
+            assert (linear[view.mask(0)].sum(axis=1) > 0).all()
+            assert np.array_equal(linear, painted(scene, style, seed=seed)[0])
+
+
+def test_rich_assets_change_skin_and_leaves() -> None:
+    rng = np.random.default_rng(4)
+    close_up = rng.integers(20, 230, (64, 64, 3), dtype=np.uint8)
+    leaf = Leaf(np.array([-0.1, 0.0, 0.4]), np.eye(3), 0.06, 0.05)
+    scene = replace(ON_PAPER, leaves=(leaf,))
+    look_ = replace(
+        paper(EVEN, replace(MATT, texture=0)),
+        leaf_colors=((60.0, 120.0, 50.0),),
+        leaf_roles=("leaf",),
+        leaf_photo=1.0,
+    )
+    bare, view = painted(scene, look_, ALL_ROUND)
+    rich, _ = painted(scene, look_, replace(ALL_ROUND, skins=(close_up,), leaves=(close_up,)))
+    middle = view.mask(0) & (np.abs(view.share - 0.5) < 0.3)
+    assert (rich[middle] / bare[middle]).std() > 0.1
+    assert rich[view.kind == Kind.LEAF].std() > 1.5 * bare[view.kind == Kind.LEAF].std()

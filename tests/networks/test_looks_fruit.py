@@ -1,0 +1,280 @@
+"""Look at each fruit: what a network's answer does to a detection."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from onnx import TensorProto, helper, numpy_helper
+from tests.perception.test_networks import pose_network, registry_of
+
+from cucumbervision.capture.readers import open_source
+from cucumbervision.capture.source import example_captures
+from cucumbervision.errors import ModelError
+from cucumbervision.fruit.crops import HEIGHT_PX, WIDTH_PX, fruit_crop
+from cucumbervision.fruit.instance import UNKNOWN_ORDER, Instance
+from cucumbervision.fruit.masks import box_of_mask, mask_iou
+from cucumbervision.networks.looks import FruitLook, FruitLooker, refined
+from cucumbervision.networks.networks import NetworkLoader
+from cucumbervision.networks.registry import load_registry
+
+if TYPE_CHECKING:
+    from cucumbervision.fruit.crops import FruitCrop
+
+MASK = np.zeros((120, 320), bool)
+MASK[50:70, 60:260] = True
+POINTS = np.column_stack([np.linspace(40, 215, 5), np.full(5, 55.5), np.linspace(0.1, 0.9, 5)])
+
+
+def _crop() -> FruitCrop:
+    crop = fruit_crop(np.zeros((120, 320, 3), np.uint8), None, MASK, None)
+    assert crop is not None
+    return crop
+
+
+def _look(shown: slice, stem_last: float = 3.0) -> FruitLook:
+    """Return a look that draws the columns of a slice of the fruit."""
+    crop = _crop()
+    columns = crop.to_crop(np.array([[shown.start - 0.5, 59.5], [shown.stop - 0.5, 59.5]]))[:, 0]
+    low, high = np.sort(columns)
+    outline = np.full((HEIGHT_PX, WIDTH_PX), -4.0, np.float32)
+    half = 10 / crop.step_px
+    rows = np.abs(np.arange(HEIGHT_PX) - (HEIGHT_PX - 1) / 2) < half
+    inside = (np.arange(WIDTH_PX) > low) & (np.arange(WIDTH_PX) < high)
+    outline[np.ix_(rows, inside)] = 4.0
+    return FruitLook(outline, POINTS, fruit=2.0, stem_last=stem_last)
+
+
+def _instance() -> Instance:
+    return Instance(box_of_mask(MASK), 0.8, detector_mask=MASK, input_size_px=640)
+
+
+def test_the_outline_is_that_of_the_look() -> None:
+    shorter = np.zeros_like(MASK)
+    shorter[50:70, 60:220] = True
+    answer = refined(_instance(), _crop(), _look(slice(60, 220)))
+    assert answer.detector_mask is not None
+    assert mask_iou(answer.detector_mask, shorter) > 0.95
+
+
+def test_an_outline_that_differs_much_is_not_taken() -> None:
+    answer = refined(_instance(), _crop(), _look(slice(60, 160)))  # half of the detector's
+    assert answer.detector_mask is MASK
+
+
+@pytest.mark.parametrize("stem_last", [2.0, -2.0])
+def test_keypoints_run_from_the_blossom_end_to_the_stem_end(stem_last: float) -> None:
+    answer = refined(_instance(), _crop(), _look(slice(60, 260), stem_last))
+    points = answer.keypoints
+    assert points is not None
+    expected = _crop().to_picture(POINTS[:, :2])
+    ordered = expected if stem_last > 0 else expected[::-1]
+    np.testing.assert_allclose(points[:, :2], ordered)
+    # The most visible of them is the last of the crop.
+    assert points[:, 2].argmax() == (4 if stem_last > 0 else 0)
+    assert answer.end_confidence == pytest.approx(1 / (1 + np.exp(-2)))
+
+
+def test_another_network_is_refused() -> None:
+    ends = load_registry().resolve("cucumber-look")["network"]
+    with pytest.raises(ModelError, match="not crops of fruit"):
+        FruitLooker(ends)
+
+
+def fruit_network(path: Path) -> Path:
+    """Write a network that outlines what is green, with the same points whatever it sees."""
+    points = np.concatenate([POINTS[:, :2], np.full((5, 1), 4.0)], axis=1).astype(np.float32)
+    constants = {
+        "first": np.array([0], np.int64),
+        "second": np.array([1], np.int64),
+        "third": np.array([2], np.int64),
+        "axis": np.array([1], np.int64),
+        "gain": np.float32(40),
+        "four": np.float32(4),
+        "zero": np.float32(0),
+        "line": points[None],
+        "sure": np.array([[2.0, 3.0]], np.float32),
+    }
+    nodes = [
+        helper.make_node("Slice", ["crops", "first", "second", "axis"], ["red"]),
+        helper.make_node("Slice", ["crops", "second", "third", "axis"], ["green"]),
+        helper.make_node("Sub", ["green", "red"], ["greener"]),
+        helper.make_node("Mul", ["greener", "gain"], ["much"]),
+        helper.make_node("Sub", ["much", "four"], ["plane"]),
+        helper.make_node("Squeeze", ["plane", "axis"], ["outline"]),
+        helper.make_node("ReduceMax", ["crops"], ["most"], axes=[2, 3], keepdims=0),
+        helper.make_node("Slice", ["most", "first", "second", "axis"], ["mean"]),
+        helper.make_node("Mul", ["mean", "zero"], ["nothing"]),
+        helper.make_node("Unsqueeze", ["nothing", "axis"], ["none"]),
+        helper.make_node("Add", ["none", "line"], ["points"]),
+        helper.make_node("Add", ["nothing", "sure"], ["verdict"]),
+    ]
+    shapes = {
+        "outline": ["n", HEIGHT_PX, WIDTH_PX],
+        "points": ["n", 5, 3],
+        "verdict": ["n", 2],
+    }
+    graph = helper.make_graph(
+        nodes,
+        "fruit",
+        [helper.make_tensor_value_info("crops", TensorProto.FLOAT, ["n", 6, HEIGHT_PX, WIDTH_PX])],
+        [helper.make_tensor_value_info(k, TensorProto.FLOAT, v) for k, v in shapes.items()],
+        [numpy_helper.from_array(np.asarray(v), k) for k, v in constants.items()],
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    path.write_bytes(model.SerializeToString())
+    return path
+
+
+def test_nothing_to_look_at_gives_nothing_and_fruit_without_mask_stay(tmp_path: Path) -> None:
+    looker = FruitLooker(fruit_network(tmp_path / "fruit.onnx"))
+    color = np.full((120, 320, 3), 90, np.uint8)
+    bare = replace(_instance(), detector_mask=None)
+    assert looker.look([]) == []
+    assert looker.on(color).refine([bare]) == (bare,)
+
+
+def test_fruit_get_the_networks_outlines_and_neighbours_keep_their_pixels(tmp_path: Path) -> None:
+    looker = FruitLooker(fruit_network(tmp_path / "fruit.onnx"))
+    color = np.full((120, 320, 3), 200, np.uint8)
+    color[MASK] = 40, 120, 45
+    coarse, neighbour = np.zeros_like(MASK), np.zeros_like(MASK)
+    coarse[46:74, 54:240] = True
+    neighbour[46:74, 240:300] = True
+    pair = [
+        replace(_instance(), detector_mask=mask, box=box_of_mask(mask))
+        for mask in (coarse, neighbour)
+    ]
+    first, second = looker.on(color).refine(pair)
+    assert first.detector_mask is not None
+    visible = MASK & ~neighbour
+    assert mask_iou(first.detector_mask, visible) > 0.95
+    # Of the neighbour, the green part is too little to take it for an outline of the same fruit.
+    assert second.detector_mask is neighbour
+
+
+def test_what_a_crop_shows_changes_the_confidence(tmp_path: Path) -> None:
+    looker = FruitLooker(fruit_network(tmp_path / "fruit.onnx"))
+    color = np.full((120, 320, 3), 200, np.uint8)
+    bare = replace(_instance(), detector_mask=None)
+    shown, unseen = looker.on(color).rescore([_instance(), bare])
+    # The network's log-odds are 2, those that change nothing 1: 0.4 more for the detector's.
+    assert np.log(shown.confidence / (1 - shown.confidence)) == pytest.approx(np.log(4) + 0.4)
+    assert unseen is bare
+
+
+def test_each_mask_is_looked_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    looker = FruitLooker(fruit_network(tmp_path / "fruit.onnx"))
+    shown, look = [], looker.look
+
+    def counted(crops: list[FruitCrop], *, once: bool) -> list[FruitLook]:
+        assert not once
+        shown.append(len(crops))
+        return look(crops)
+
+    monkeypatch.setattr(looker, "look", counted)
+    color = np.full((120, 320, 3), 200, np.uint8)
+    color[MASK] = 40, 120, 45
+    looks = looker.on(color)
+    (rescored,) = looks.rescore([_instance()])
+    joined = replace(rescored, detector_mask=MASK | np.roll(MASK, 3, axis=1))
+    first, second = looks.refine([rescored, joined])
+    assert shown == [1, 1]
+    assert first.detector_mask is not None
+    assert second.detector_mask is not None
+    # Another picture is another look.
+    looker.on(color).refine([rescored])
+    assert shown == [1, 1, 1]
+
+
+def test_a_crop_and_the_turned_one_get_the_same_outline_and_opposite_stem_ends() -> None:
+    looker = NetworkLoader(runtime="onnxruntime").fruit_looker()
+    assert looker is not None
+    capture = next(iter(open_source(example_captures()))).load()
+    mask = next(mask for mask in capture.masks if mask.any())
+    crop = fruit_crop(capture.color, capture.depth_m, mask, capture.intrinsics.fx_px)
+    assert crop is not None
+    turned = replace(crop, planes=crop.planes[::-1, ::-1])
+    ahead, back = looker.look([crop, turned])
+    alone = looker.look([crop], once=True)[0]
+    assert abs(alone.stem_last - ahead.stem_last) > 1e-3
+    np.testing.assert_allclose(back.outline[::-1, ::-1], ahead.outline, atol=1e-4)
+    middle = np.array([(WIDTH_PX - 1) / 2, (HEIGHT_PX - 1) / 2])
+    np.testing.assert_allclose(
+        back.points[::-1, :2] - middle, middle - ahead.points[:, :2], atol=1e-2
+    )
+    np.testing.assert_allclose(back.points[::-1, 2], ahead.points[:, 2], atol=1e-4)
+    assert back.stem_last == pytest.approx(-ahead.stem_last, abs=1e-4)
+    assert back.fruit == pytest.approx(ahead.fruit, abs=1e-4)
+
+
+@pytest.mark.parametrize("right", [False, True])
+def test_points_by_place_are_ordered_by_the_look_and_others_stay(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, right: bool
+) -> None:
+    looker = FruitLooker(fruit_network(tmp_path / "fruit.onnx"))
+    stem = _crop().to_picture(POINTS[[-1 if right else 0], :2])[0]
+    look = _look(slice(60, 260), 3.0 if right else -3.0)
+    monkeypatch.setattr(looker, "look", lambda crops, once: [look] * len(crops))
+    line = np.column_stack([np.linspace(62, 258, 5), np.full(5, 59.5), np.linspace(0.2, 1, 5)])
+    by_place = replace(_instance(), keypoints=line, end_confidence=UNKNOWN_ORDER)
+    back = replace(by_place, keypoints=line[::-1], detector_mask=None, mask=MASK)
+    known, bare = replace(by_place, end_confidence=0.8), _instance()
+    color = np.full((120, 320, 3), 200, np.uint8)
+    ordered = looker.on(color).order([by_place, known, back, bare])
+    assert ordered[1] is known
+    assert ordered[3] is bare
+    assert ordered[2].detector_mask is None
+    for instance in (ordered[0], ordered[2]):
+        assert instance.keypoints is not None
+        last = instance.keypoints[-1]
+        assert abs(last[0] - stem[0]) < 30
+        assert last[2] == (1.0 if last[0] > 160 else 0.2)  # visibilities go with the points
+        assert instance.end_confidence == pytest.approx(1 / (1 + np.exp(-3)))
+    assert looker.on(color).order([]) == ()
+
+
+def test_keypoints_are_the_looks_and_no_pose_network_is_loaded(tmp_path: Path) -> None:
+    (tmp_path / "weights").mkdir()
+    shipped = load_registry().resolve("cucumber-seg")["network"]
+    segment = Path(shutil.copy(shipped, tmp_path / "weights" / "seg.onnx"))
+    fruit = fruit_network(tmp_path / "weights" / "fruit.onnx")
+    pose = pose_network(tmp_path / "weights" / "pose.onnx")
+    registry = registry_of(tmp_path, segment=segment, fruit=fruit, pose=pose)
+    loader = NetworkLoader(registry, runtime="onnxruntime", input_sizes=(640,))
+    detectors = loader.detectors()
+    assert [model["task"] for model in loader.models] == ["segment", "fruit"]
+    color = next(iter(open_source(example_captures()))).load().color
+    assert detectors.gives_keypoints
+    assert loader.stem_looker() is None  # the look orders its points itself
+    # Without depth the look rescores; this one takes everything for a cucumber.
+    surest = max(fruit.confidence for fruit in detectors.find(color))
+    alone = NetworkLoader(registry, runtime="onnxruntime", input_sizes=(640,))
+    alone_surest = max(f.confidence for f in alone.detectors(looks=False, quick=True).find(color))
+    assert surest > alone_surest
+    given = NetworkLoader(registry, runtime="onnxruntime")
+    given.detectors(pose=pose)
+    assert "fruit" not in {model["task"] for model in given.models}
+    assert given.stem_looker() is not None
+
+
+def test_a_registry_with_such_a_network_gives_it_to_the_packages_detector(tmp_path: Path) -> None:
+    (tmp_path / "weights").mkdir()
+    shipped = load_registry().resolve("cucumber-seg")["network"]
+    segment = Path(shutil.copy(shipped, tmp_path / "weights" / "seg.onnx"))
+    fruit = fruit_network(tmp_path / "weights" / "fruit.onnx")
+    registry = registry_of(tmp_path, segment=segment, fruit=fruit)
+    loader = NetworkLoader(registry, runtime="onnxruntime", input_sizes=(640,))
+    capture = next(iter(open_source(example_captures()))).load()
+    found = loader.detectors().find(capture.color, capture.depth_m, capture.intrinsics.fx_px)
+    assert [model["name"] for model in loader.models] == ["tiny-segment", "tiny-fruit"]
+    assert found
+    for instance in found:
+        assert instance.keypoints is not None
+        assert instance.keypoints[:, 2] == pytest.approx(1 / (1 + np.exp(-4)))
+        # It says the same of a turned crop: the stem is at neither end.
+        assert instance.end_confidence == pytest.approx(0.5)

@@ -1,0 +1,181 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from cucumbervision.errors import ModelError, ModelHashError, UnknownModelError
+from cucumbervision.networks.networks import open_segmenter
+from cucumbervision.networks.registry import (
+    Registry,
+    file_sha256,
+    load_registry,
+    models_folder,
+)
+from cucumbervision.networks.runtime import open_network
+
+# SHA-256 of b"abc", from FIPS 180-2, appendix B.1.
+ABC = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+ENTRIES = f"""
+[[models]]
+name = "inside"
+task = "segment"
+licence = "AGPL-3.0-only"
+title = "Found in the package"
+origin = "this project"
+embedded = true
+card = "docs/cards/inside.md"
+files = [{{ role = "network", file = "inside.onnx", sha256 = "{ABC}", size_bytes = 3 }}]
+
+[[models]]
+name = "outside"
+task = "prompted-mask"
+licence = "Apache-2.0"
+title = "The user's"
+origin = "somebody"
+files = [{{ role = "encoder", file = "e.onnx" }}, {{ role = "decoder", file = "d.onnx" }}]
+"""
+
+
+@pytest.fixture
+def registry(tmp_path: Path) -> Registry:
+    (tmp_path / "weights").mkdir()
+    (tmp_path / "weights" / "inside.onnx").write_bytes(b"abc")
+    (tmp_path / "models.toml").write_text(ENTRIES)
+    return load_registry(tmp_path / "models.toml", user=tmp_path / "user")
+
+
+def installed(registry: Registry, tmp_path: Path) -> dict[str, Path]:
+    made = (tmp_path / "e.onnx", tmp_path / "d.onnx")
+    for path in made:
+        path.write_bytes(path.name.encode())
+    return registry.install("outside", made)
+
+
+def test_the_packages_own_registry_is_sound() -> None:
+    registry = load_registry()
+    assert "mobile-sam" in {m.name for m in registry.models}
+    for model in registry.models:
+        assert model.licence
+        assert model.title
+        assert model.origin
+        # A network is somebody's, or our own, with a card.
+        assert (model.task != "prompted-mask") == bool(model.card)
+        if model.embedded:
+            sizes = {f.file: f.size_bytes for f in model.files}
+            paths = registry.resolve(model.name).values()
+            assert {p.name: p.stat().st_size for p in paths} == sizes
+
+
+def test_embedded_weights_come_with_licence_and_provenance() -> None:
+    registry = load_registry()
+    notice = (registry.embedded / "NOTICE.md").read_text()
+    assert "Apache License" in (registry.embedded / "LICENSE-APACHE-2.0.txt").read_text()
+    for path in registry.resolve("mobile-sam").values():
+        metadata = open_network(path, "onnxruntime").metadata
+        assert metadata["source_sha256"] in notice
+        assert metadata["licence"] == "Apache-2.0"
+
+
+def test_embedded_files_are_resolved_by_role(registry: Registry, tmp_path: Path) -> None:
+    assert registry.resolve("inside") == {"network": tmp_path / "weights" / "inside.onnx"}
+    assert registry.state("inside") == "embedded"
+    assert registry.size_bytes("inside") == 3
+
+
+def test_the_default_of_a_task_is_embedded(registry: Registry) -> None:
+    default = registry.default("segment")
+    assert default is not None
+    assert default.name == "inside"
+    assert registry.default("pose") is None
+    assert registry.default("prompted-mask") is None  # there is one, but it is not here
+
+
+def test_unknown_name_lists_the_known(registry: Registry) -> None:
+    with pytest.raises(UnknownModelError, match="'sam'; choose one of inside, outside"):
+        registry.resolve("sam")
+
+
+def test_a_changed_byte_is_found(registry: Registry, tmp_path: Path) -> None:
+    path = tmp_path / "weights" / "inside.onnx"
+    path.write_bytes(b"abd")
+    with pytest.raises(ModelHashError, match=r"inside\.onnx: .*; install cucumbervision again"):
+        registry.resolve("inside")
+
+
+def test_a_missing_file_is_told(registry: Registry, tmp_path: Path) -> None:
+    (tmp_path / "weights" / "inside.onnx").unlink()
+    with pytest.raises(ModelError, match=r"inside\.onnx: the file is missing"):
+        registry.resolve("inside")
+
+
+def test_not_on_this_machine(registry: Registry) -> None:
+    assert registry.state("outside") == "not pulled"
+    with pytest.raises(ModelError, match="run: cucumbervision models use --shipped"):
+        registry.resolve("outside")
+
+
+def test_installed_files_are_resolved_and_verified(registry: Registry, tmp_path: Path) -> None:
+    files = installed(registry, tmp_path)
+    folder = tmp_path / "user" / "outside"
+    assert files == {"encoder": folder / "e.onnx", "decoder": folder / "d.onnx"}
+    assert registry.resolve("outside") == files
+    assert registry.state("outside") == "pulled"
+    assert registry.size_bytes("outside") == len("e.onnx") + len("d.onnx")
+    files["decoder"].write_bytes(b"else")
+    with pytest.raises(ModelHashError, match=r"d\.onnx: .*models use"):
+        registry.resolve("outside")
+
+
+@pytest.mark.parametrize("content", ["", "[]", '{"files": []}'])
+def test_a_broken_manifest_is_told(registry: Registry, tmp_path: Path, content: str) -> None:
+    installed(registry, tmp_path)
+    (tmp_path / "user" / "outside" / "manifest.json").write_text(content)
+    with pytest.raises(ModelError, match=r"manifest\.json: .*; run: cucumbervision models use"):
+        registry.resolve("outside")
+
+
+@pytest.mark.parametrize("content", ["models = 3", "[[models]]\nname = 'x'", "[["])
+def test_a_broken_registry_is_told(tmp_path: Path, content: str) -> None:
+    (tmp_path / "models.toml").write_text(content)
+    with pytest.raises(ModelError, match=r"models\.toml: .*; install again"):
+        load_registry(tmp_path / "models.toml")
+
+
+def test_the_variable_moves_the_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CUCUMBERVISION_MODELS", str(tmp_path))
+    assert models_folder() == tmp_path
+    assert load_registry().user == tmp_path
+    monkeypatch.delenv("CUCUMBERVISION_MODELS")
+    assert models_folder().parts[-2:] == ("cucumbervision", "models")
+
+
+def test_export_copies_verified_files(registry: Registry, tmp_path: Path) -> None:
+    (written,) = registry.export("inside", tmp_path / "a" / "b")
+    assert written == tmp_path / "a" / "b" / "inside.onnx"
+    assert file_sha256(written) == ABC
+
+
+def test_export_refuses_damaged_files(registry: Registry, tmp_path: Path) -> None:
+    (tmp_path / "weights" / "inside.onnx").write_bytes(b"")
+    with pytest.raises(ModelHashError):
+        registry.export("inside", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_segmenter_without_weights_needs_no_files(tmp_path: Path) -> None:
+    entry = """
+[[models]]
+name = "by-colour"
+task = "prompted-mask"
+segmenter = "builtins:dict"
+licence = "MIT"
+title = "No weights"
+origin = "somebody"
+embedded = true
+"""
+    (tmp_path / "models.toml").write_text(entry)
+    registry = load_registry(tmp_path / "models.toml", user=tmp_path / "user")
+    opened = open_segmenter("by-colour", prompt="box", registry=registry)
+    assert isinstance(opened, dict)
+    assert opened["prompt"] == "box"

@@ -1,0 +1,215 @@
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from cucumbervision.networks.resize import (
+    fit,
+    mask_from_logits,
+    points_to_sam,
+    prepare_picture,
+    rows_needed,
+    scaled_size,
+)
+
+ONE = np.ones(1, np.float32)  # the weight of a single prototype
+
+sides = st.integers(1, 1500)
+
+
+def test_wide_picture_by_hand() -> None:
+    # 1280x720 to 640x640: gain 1/2, 360 rows, 280 spare, 140 above.
+    box = fit(720, 1280, (640, 640))
+    picture = np.full((720, 1280, 3), 200, np.uint8)
+    out = box.apply(picture)
+    assert out.shape == (640, 640, 3)
+    assert (out[140:500] == 200).all()
+    assert (out[:140] == 114).all()
+    assert (out[500:] == 114).all()
+
+
+def test_odd_padding_puts_the_smaller_half_first() -> None:
+    # 5x10 to 10x10: no resizing, five spare rows: two above, three below.
+    box = fit(5, 10, (10, 10))
+    assert (box.top_px, box.inner_height) == (2, 5)
+
+
+def test_rounded_sides_have_gains_of_their_own() -> None:
+    # 427x640 to 320: gain 1/2, 213.5 rows become 214, so rows scale by 214/427.
+    box = fit(427, 640, (320, 320))
+    assert box.inner_height == 214
+    corner = box.points_back(np.array([320.0, box.top_px + 214.0]))
+    assert corner.tolist() == pytest.approx([639.5, 426.5])
+
+
+def test_minimal_padding_reaches_the_next_stride() -> None:
+    # 300x640 to 640: 300 rows, the next multiple of 32 is 320.
+    box = fit(300, 640, (640, 640), minimal=True)
+    assert (box.input_height, box.input_width, box.top_px) == (320, 640, 10)
+
+
+def test_boxes_and_points_are_clipped_to_the_picture() -> None:
+    box = fit(100, 100, (200, 200))
+    back = box.boxes_back(np.array([[-10.0, 20, 500, 300]]))
+    assert back.tolist() == [[-0.5, 9.5, 99.5, 99.5]]
+    assert box.points_back(np.empty((0, 2))).shape == (0, 2)
+
+
+@given(sides, sides, st.sampled_from([320, 640]))
+@settings(max_examples=50, deadline=None)
+def test_corners_come_back_exactly(height: int, width: int, size: int) -> None:
+    box = fit(height, width, (size, size))
+    corners = np.array(
+        [
+            [box.left_px, box.top_px],
+            [box.left_px + box.inner_width, box.top_px + box.inner_height],
+        ]
+    )
+    expected = [[-0.5, -0.5], [width - 0.5, height - 0.5]]
+    assert np.allclose(box.points_back(corners), expected, atol=1e-9)
+
+
+def test_mask_of_a_half_plane_lies_where_its_edge_is() -> None:
+    # 640x320 into 320x320 (gain 1/2, 80 grey rows): a prototype pixel is 8 picture pixels.
+    # Logits rise by 1 a prototype column and are 0 between columns 19 and 20 (column edge 20),
+    # which is picture column edge 160.
+    box = fit(320, 640, (320, 320))
+    logits = np.tile(np.arange(80) - 19.5, (80, 1)).astype(np.float32)
+    mask = box.mask_back(logits[None], ONE, np.array([-0.5, -0.5, 639.5, 319.5]))
+    assert mask.shape == (320, 640)
+    assert not mask[:, :160].any()
+    assert mask[:, 160:].all()
+
+
+def test_mask_is_cut_by_its_box() -> None:
+    box = fit(64, 64, (64, 64))
+    # Edges from the corner: 10 to 20 and 30 to 33, so those pixels and no others.
+    mask = box.mask_back(np.ones((1, 16, 16), np.float32), ONE, np.array([9.5, 29.5, 19.5, 32.5]))
+    ys, xs = np.nonzero(mask)
+    assert (xs.min(), xs.max(), ys.min(), ys.max()) == (10, 19, 30, 32)
+    assert mask.sum() == 30
+
+
+def test_grey_rows_lend_nothing_to_the_mask() -> None:
+    # 64x32 into 64x64: 16 grey rows above and below, four prototype rows each. They are set, the
+    # picture's own are not.
+    box = fit(32, 64, (64, 64))
+    logits = np.full((16, 16), -1, np.float32)
+    logits[:4] = logits[12:] = 9
+    assert not box.mask_back(logits[None], ONE, np.array([-0.5, -0.5, 63.5, 31.5])).any()
+
+
+def test_prototypes_are_weighted_and_summed() -> None:
+    # 2 - 3 < 0 on the left, where the second prototype is 1; 2 > 0 elsewhere.
+    box = fit(64, 64, (64, 64))
+    prototypes = np.ones((2, 16, 16), np.float32)
+    prototypes[1, :, 8:] = -1
+    edges = np.array([-0.5, -0.5, 63.5, 63.5])
+    mask = box.mask_back(prototypes, np.array([2, -3], np.float32), edges)
+    assert mask[:, 40:].all()
+    assert not mask[:, :28].any()
+
+
+@pytest.mark.parametrize(
+    ("size", "scaled"),
+    [((720, 1280), (576, 1024)), ((480, 640), (768, 1024)), ((1000, 3), (1024, 3))],
+)
+def test_longer_side_becomes_1024(size: tuple[int, int], scaled: tuple[int, int]) -> None:
+    assert scaled_size(*size) == scaled
+
+
+def test_a_sliver_keeps_a_pixel() -> None:
+    assert scaled_size(1, 5000) == (1, 1024)
+
+
+@pytest.mark.parametrize("size", [(576, 1024), (720, 1280), (300, 400)])
+def test_red_is_first_and_normalised_by_its_own_spread(size: tuple[int, int]) -> None:
+    picture = np.full((*size, 3), (200, 100, 50), np.uint8)
+    height, width = scaled_size(*size)
+    inside = prepare_picture(picture)[0, :, :height, :width]
+    by_hand = [(200 - 123.675) / 58.395, (100 - 116.28) / 57.12, (50 - 103.53) / 57.375]
+    for plane, value in zip(inside, by_hand, strict=True):
+        np.testing.assert_allclose(plane, value, atol=1e-5)
+
+
+def test_padding_is_zero_on_the_right_and_below() -> None:
+    upright = prepare_picture(np.zeros((640, 480, 3), np.uint8))[0]
+    assert not upright[:, :, 768:].any()
+    assert (upright[:, :, :768] < -1).all()
+    flat = prepare_picture(np.zeros((480, 640, 3), np.uint8))[0]
+    assert not flat[:, 768:].any()
+
+
+def test_shrinking_smooths_as_pillow_does() -> None:
+    # To half: a triangle four pixels wide on each, 1/8, 3/8, 3/8, 1/8.
+    picture = np.zeros((2, 2048, 3), np.uint8)
+    picture[:, 1000] = 255
+    row = prepare_picture(picture)[0, 0, 0] * 58.395 + 123.675
+    np.testing.assert_allclose(row[498:502], [0, 32, 96, 0], atol=1e-3)
+
+
+def test_a_sliver_is_smoothed_along_its_length() -> None:
+    # Two rows stay two, but 2048 columns become 1024: the comb of single pixels turns grey.
+    picture = np.zeros((2, 2048, 3), np.uint8)
+    picture[:, ::2] = 255
+    row = prepare_picture(picture)[0, 0, 0, 1:-1] * 58.395 + 123.675
+    np.testing.assert_allclose(row, 128, atol=1e-3)
+
+
+def test_a_view_of_other_order_is_taken_as_it_is() -> None:
+    rng = np.random.default_rng(3)
+    bgr = rng.integers(0, 256, (90, 160, 3), dtype=np.uint8)
+    rgb = np.ascontiguousarray(bgr[..., ::-1])
+    assert np.array_equal(prepare_picture(bgr[..., ::-1]), prepare_picture(rgb))
+    assert not np.array_equal(prepare_picture(bgr), prepare_picture(rgb))
+
+
+def test_edges_land_on_edges() -> None:
+    corners = np.array([[-0.5, -0.5], [479.5, 639.5]])
+    # 640 high becomes 1024, 480 wide becomes 768; the decoder adds half a pixel.
+    assert points_to_sam(corners, 640, 480).tolist() == [[-0.5, -0.5], [767.5, 1023.5]]
+
+
+def two_steps(logits: NDArray[np.float32], height: int, width: int) -> NDArray[np.float32]:
+    """SAM's own way: the whole square to 1024, without the padding, to the picture's size."""
+    rows, columns = scaled_size(height, width)
+    square = cv2.resize(logits, (1024, 1024), interpolation=cv2.INTER_LINEAR)
+    cut = np.ascontiguousarray(square[:rows, :columns])
+    return np.asarray(cv2.resize(cut, (width, height), interpolation=cv2.INTER_LINEAR), np.float32)
+
+
+@pytest.mark.parametrize("size", [(720, 1280), (480, 640), (640, 480), (101, 37), (1500, 2000)])
+@pytest.mark.parametrize("shift", [0.0, -2.0])
+def test_masks_equal_the_two_steps(size: tuple[int, int], shift: float) -> None:
+    rng = np.random.default_rng(7)
+    blobs = cv2.GaussianBlur(rng.normal(size=(256, 256)), (0, 0), 9).astype(np.float32)
+    logits = np.asarray(blobs / blobs.std() + shift, np.float32)
+    wanted = two_steps(logits, *size)
+    sure = np.abs(wanted) > 1e-3
+    assert sure.mean() > 0.99
+    assert np.array_equal(mask_from_logits(logits, *size)[sure], (wanted > 0)[sure])
+
+
+def test_a_positive_logit_in_the_padding_alone_gives_nothing() -> None:
+    logits = np.full((256, 256), -5, np.float32)
+    logits[250, 100] = 5
+    assert not mask_from_logits(logits, 720, 1280).any()
+
+
+@pytest.mark.parametrize("size", [(720, 1280), (480, 848), (101, 370)])
+def test_padding_rows_may_be_left_out(size: tuple[int, int]) -> None:
+    rows = rows_needed(*size)
+    assert rows % 16 == 0
+    assert 0 <= rows - scaled_size(*size)[0] < 16
+    # Everything below the picture's own rows is nought.
+    assert not prepare_picture(np.full((*size, 3), 200, np.uint8))[:, :, rows:].any()
+    blobs = cv2.GaussianBlur(np.random.default_rng(7).normal(size=(256, 256)), (0, 0), 9)
+    logits = np.asarray(blobs / blobs.std(), np.float32)
+    logits[rows // 4 :] = logits[rows // 4 - 1]
+    whole, short = mask_from_logits(logits, *size), mask_from_logits(logits[: rows // 4], *size)
+    assert np.array_equal(whole, short)
+    assert whole[-1].any()

@@ -1,0 +1,266 @@
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+
+from cucumbervision.errors import ModelError
+from cucumbervision.networks.yolo import YoloDetector
+from cucumbervision.networks.yolo_layout import SIZES_KEY
+
+onnx = pytest.importorskip("onnx")
+
+PICTURE = np.zeros((32, 64, 3), np.uint8)  # lies in 64x64 with 16 grey rows above and below
+
+
+def network(
+    *outputs: np.ndarray,
+    props: Mapping[str, object] | None = None,
+    shape: tuple[int | str, ...] = (1, 3, 64, 64),
+) -> bytes:
+    """Give a network whose outputs are the given arrays, whatever it sees."""
+    helper, kind = onnx.helper, onnx.TensorProto
+    images = helper.make_tensor_value_info("images", kind.FLOAT, shape)
+    nodes = [
+        helper.make_node("ReduceMax", ["images"], ["most"], keepdims=0),
+        helper.make_node("Mul", ["most", "zero"], ["nothing"]),
+    ]
+    constants = [onnx.numpy_helper.from_array(np.float32(0), "zero")]
+    values = []
+    for i, array in enumerate(outputs):
+        constants.append(onnx.numpy_helper.from_array(array.astype(np.float32), f"c{i}"))
+        nodes.append(helper.make_node("Add", [f"c{i}", "nothing"], [f"output{i}"]))
+        values.append(helper.make_tensor_value_info(f"output{i}", kind.FLOAT, array.shape))
+    graph = helper.make_graph(nodes, "g", [images], values, constants)
+    opset = [helper.make_opsetid("", 17)]
+    model = helper.make_model(graph, opset_imports=opset, ir_version=8)
+    helper.set_model_props(model, {k: str(v) for k, v in (props or {}).items()})
+    return bytes(model.SerializeToString())
+
+
+def chosen(*rows: list[float]) -> np.ndarray:
+    """Lay rows out as the end-to-end head does, filled up with empty ones."""
+    out = np.zeros((1, 300, len(rows[0])), np.float32)
+    out[0, : len(rows)] = rows
+    return out
+
+
+CUCUMBER = {"names": {0: "cucumber", 1: "leaf"}, "stride": 32, "imgsz": [64, 64]}
+
+
+@pytest.mark.parametrize("runtime", ["onnxruntime", "openvino"])
+def test_end_to_end_segments(runtime: str) -> None:
+    pytest.importorskip(runtime)
+    coefficients = [0.0] * 32
+    coefficients[3] = 2.0
+    prototypes = np.full((1, 32, 16, 16), -1.0)
+    prototypes[0, 3, :, :8] = 1.0
+    rows = chosen([8, 20, 40, 30, 0.75, 1, *coefficients], [0, 16, 4, 20, 0.15, 0, *coefficients])
+    props = CUCUMBER | {"task": "segment", "end2end": True}
+    detector = YoloDetector(network(rows, prototypes, props=props), runtime)
+    (fruit,) = detector.detect(PICTURE)
+    assert (fruit.class_name, fruit.confidence, fruit.mask) == ("leaf", 0.75, None)
+    # The picture is not scaled: 16 rows come off, and half a pixel for the centres.
+    assert fruit.box.tolist() == [7.5, 3.5, 39.5, 13.5]
+    # The prototype's edge is at column 32; the box cuts the rest.
+    expected = np.zeros((32, 64), bool)
+    expected[4:14, 8:32] = True
+    assert fruit.detector_mask is not None
+    assert np.array_equal(fruit.detector_mask, expected)
+
+
+def test_empty_mask_keeps_the_detection() -> None:
+    rows = chosen([8, 20, 40, 30, 0.75, 0, *[1.0] * 32])
+    props = CUCUMBER | {"task": "segment", "end2end": True}
+    detector = YoloDetector(network(rows, np.full((1, 32, 16, 16), -1.0), props=props))
+    (fruit,) = detector.detect(PICTURE)
+    assert fruit.detector_mask is None
+
+
+def test_pose_gives_keypoints_in_the_picture() -> None:
+    points = [[8 + 8 * i, 24, 0.1 * i] for i in range(5)]
+    rows = chosen([4, 20, 48, 30, 0.9, 0, *np.ravel(points)])
+    props = CUCUMBER | {"task": "pose", "end2end": True, "kpt_shape": [5, 3]}
+    (fruit,) = YoloDetector(network(rows, props=props)).detect(PICTURE)
+    assert fruit.keypoints is not None
+    expected = [[7.5 + 8 * i, 7.5, 0.1 * i] for i in range(5)]
+    assert np.allclose(fruit.keypoints, expected, atol=1e-6)
+
+
+def test_foreign_pose_gives_boxes_and_says_so(caplog: pytest.LogCaptureFixture) -> None:
+    rows = chosen([4, 20, 48, 30, 0.9, 0, *[1.0] * 51])
+    props = {"names": {0: "person"}, "task": "pose", "end2end": True, "kpt_shape": [17, 3]}
+    with caplog.at_level(logging.WARNING, "cucumbervision"):
+        detector = YoloDetector(network(rows, props=props))
+    assert "it gives 17 keypoints" in caplog.text
+    assert detector.detect(PICTURE)[0].keypoints is None
+
+
+@pytest.mark.parametrize(("one_to_one", "count"), [(False, 1), (True, 2)])
+def test_raw_head_is_suppressed_unless_one_to_one(one_to_one: bool, count: int) -> None:
+    output = np.zeros((1, 6, 84), np.float32)
+    output[0, :, 5] = [24, 32, 16, 8, 0.2, 0.9]
+    output[0, :, 6] = [24, 32, 16, 8, 0.1, 0.8]
+    props: dict[str, object] = CUCUMBER | {"task": "detect", "end2end": False}
+    props |= {"one2one": True} if one_to_one else {}
+    found = YoloDetector(network(output, props=props)).detect(PICTURE)
+    assert len(found) == count
+    assert found[0].class_name == "leaf"
+    assert found[0].box.tolist() == [15.5, 11.5, 31.5, 19.5]
+    assert found[0].detector_mask is None
+
+
+def test_export_without_metadata_still_works() -> None:
+    output = np.zeros((1, 5, 84), np.float32)
+    output[0, :, 0] = [24, 32, 16, 8, 0.9]
+    (fruit,) = YoloDetector(network(output)).detect(PICTURE)
+    assert fruit.class_name == "0"
+
+
+def test_embedded_suppression_is_read_as_rows() -> None:
+    rows = chosen([8, 20, 40, 30, 0.75, 1])
+    props = CUCUMBER | {"task": "detect", "end2end": False, "args": {"nms": True}}
+    assert len(YoloDetector(network(rows, props=props)).detect(PICTURE)) == 1
+
+
+def test_free_size_pads_to_the_stride_only() -> None:
+    # 32x64 at imgsz 64 needs no padding, so the box comes back as it is.
+    rows = chosen([8, 20, 40, 30, 0.75, 1])
+    props = CUCUMBER | {"task": "detect", "end2end": True}
+    graph = network(rows, props=props, shape=(1, 3, "height", "width"))
+    (fruit,) = YoloDetector(graph).detect(PICTURE)
+    assert fruit.box.tolist() == [7.5, 19.5, 39.5, 29.5]
+
+
+FREE = (1, 3, "height", "width")
+
+
+@pytest.mark.parametrize("side_px", [4128, 10**9])
+def test_an_input_of_gigabytes_is_refused(side_px: int) -> None:
+    rows = chosen([8, 20, 40, 30, 0.75, 1])
+    props = CUCUMBER | {"task": "detect", "end2end": True, "imgsz": [64, side_px]}
+    with pytest.raises(ModelError, match="pixels"):
+        YoloDetector(network(rows, props=props, shape=FREE))
+
+
+def test_an_input_size_scales_the_picture_and_is_told() -> None:
+    # The network sees this box whatever the size: at 128 px it is half as large in the picture.
+    rows = chosen([8, 4, 40, 12, 0.8, 0])
+    free = network(rows, props=CUCUMBER | {"task": "detect", "end2end": True}, shape=FREE)
+    (own,) = YoloDetector(free).detect(PICTURE)
+    (large,) = YoloDetector(free, input_sizes=(128,)).detect(PICTURE)
+    assert (own.box.tolist(), own.input_size_px) == ([7.5, 3.5, 39.5, 11.5], 64)
+    assert (large.box.tolist(), large.input_size_px) == ([3.5, 1.5, 19.5, 5.5], 128)
+
+
+def test_a_file_says_at_which_sizes_it_is_run_where_nobody_asks() -> None:
+    rows = chosen([8, 4, 40, 12, 0.8, 0])
+    props = CUCUMBER | {"task": "detect", "end2end": True, SIZES_KEY: "128,64"}
+    free = network(rows, props=props, shape=FREE)
+    found = YoloDetector(free).detect(PICTURE)
+    assert sorted(one.input_size_px or 0 for one in found) == [64, 128]
+    (asked,) = YoloDetector(free, input_sizes=(96,)).detect(PICTURE)
+    assert asked.input_size_px == 96
+    with pytest.raises(ModelError, match="its 'input_sizes' is '650'"):
+        YoloDetector(network(rows, props=props | {SIZES_KEY: "650"}, shape=FREE))
+
+
+def test_what_two_sizes_find_alike_is_found_once() -> None:
+    # Beyond the input at either size: the whole picture.
+    rows = chosen([0, 0, 900, 900, 0.8, 0], [0, 0, 900, 900, 0.6, 1])
+    free = network(rows, props=CUCUMBER | {"task": "detect", "end2end": True}, shape=FREE)
+    found = YoloDetector(free, input_sizes=(64, 128)).detect(PICTURE)
+    assert [one.class_name for one in found] == ["cucumber", "leaf"]
+    assert [one.confidence for one in found] == pytest.approx([0.8, 0.6])
+
+
+def test_what_one_of_two_sizes_finds_must_be_twice_as_sure() -> None:
+    # At 128 px the box is another, half as large: each is found by one size.
+    rows = chosen([8, 4, 40, 12, 0.8, 0])
+    free = network(rows, props=CUCUMBER | {"task": "detect", "end2end": True}, shape=FREE)
+    both = YoloDetector(free, confidence=0.3, input_sizes=(64, 128)).detect(PICTURE)
+    assert [one.confidence for one in both] == pytest.approx([0.4, 0.4])
+    assert YoloDetector(free, confidence=0.45, input_sizes=(64, 128)).detect(PICTURE) == ()
+
+
+def test_a_network_of_one_size_refuses_another() -> None:
+    fixed = network(chosen([8, 20, 40, 30, 0.8, 0]), props=CUCUMBER | {"end2end": True})
+    assert len(YoloDetector(fixed, input_sizes=(64,)).detect(PICTURE)) == 1
+    with pytest.raises(ModelError, match="takes 64x64 only, not 128"):
+        YoloDetector(fixed, input_sizes=(128,))
+
+
+def test_box_on_the_grey_border_is_left_out() -> None:
+    rows = chosen([8, 0, 40, 15, 0.75, 1])
+    props = CUCUMBER | {"task": "detect", "end2end": True}
+    assert YoloDetector(network(rows, props=props)).detect(PICTURE) == ()
+
+
+def test_confidence_is_the_users() -> None:
+    rows = chosen([8, 20, 40, 30, 0.2, 1])
+    graph = network(rows, props=CUCUMBER | {"task": "detect", "end2end": True})
+    assert YoloDetector(graph).detect(PICTURE) == ()
+    assert len(YoloDetector(graph, confidence=0.1).detect(PICTURE)) == 1
+
+
+@pytest.mark.parametrize(
+    ("graph", "fault"),
+    [
+        (network(np.zeros((1, 1000))), "its outputs are output0 1x1000"),
+        (network(np.zeros((1, 6, 5)), props={"task": "obb"}), "its task is 'obb'"),
+        (network(np.zeros((1, 9, 84)), props=CUCUMBER), "the output 9x84 is no detect head"),
+        (network(np.zeros((1, 5, 84)), shape=(4, 3, 64, 64)), "it takes 4 pictures at once"),
+        (network(np.zeros((1, 5, 84)), shape=(1, 1, 64, 64)), "its inputs are images 1x1x64x64"),
+        (network(np.zeros((1, 5, 84)), props={"names": "__import__('os')"}), "its 'names' is"),
+        (network(np.zeros((1, 20, 84)), props={"task": "pose", "kpt_shape": 5}), "'kpt_shape' is"),
+    ],
+)
+def test_other_networks_are_refused(graph: bytes, fault: str) -> None:
+    with pytest.raises(ModelError, match=fault):
+        YoloDetector(graph)
+
+
+# 64x64 pixels are 64 + 16 + 4 cells of strides 8, 16 and 32.
+def of_yolov5(box: list[float], objectness: float, score: float, *extras: float) -> np.ndarray:
+    """Lay one detection out as YOLOv5 does: three rows for each of 84 cells."""
+    rows = np.zeros((1, 3 * 84, 6 + len(extras)), np.float32)
+    rows[0, 100] = [*box, objectness, score, *extras]
+    return rows
+
+
+@pytest.mark.parametrize("props", [{}, {"names": {0: "cucumber"}, "stride": 32}])
+def test_rows_of_yolov5_with_one_class_are_centres_and_objectness(props: dict[str, object]) -> None:
+    detector = YoloDetector(network(of_yolov5([24, 25, 32, 10], 0.8, 0.9), props=props))
+    (fruit,) = detector.detect(PICTURE)
+    assert fruit.confidence == pytest.approx(0.72)
+    assert fruit.box.tolist() == [7.5, 3.5, 39.5, 13.5]
+
+
+def test_rows_of_another_detector_are_refused_and_not_read_as_boxes() -> None:
+    # RT-DETR with two classes: centre and size as shares of the picture, and two scores.
+    rows = np.tile([0.4, 0.5, 0.5, 0.2, 0.05, 0.9], (1, 300, 1))
+    names = {"names": {0: "leaf", 1: "cucumber"}}
+    detector = YoloDetector(network(rows, props=names))
+    with pytest.raises(ModelError, match="its rows are not x1, y1, x2, y2, score, class"):
+        detector.detect(PICTURE)
+    with pytest.raises(ModelError, match="300x5 is no detect head of 1 classes"):
+        YoloDetector(network(rows[..., :5], props={"names": {0: "cucumber"}}))
+
+
+@pytest.mark.parametrize("stride", [0, -32, 1.5, "'a'", 4096])
+def test_a_stride_that_is_none_is_refused(stride: object) -> None:
+    with pytest.raises(ModelError, match="its 'stride' is"):
+        YoloDetector(network(np.zeros((1, 6, 84)), props=CUCUMBER | {"stride": stride}))
+
+
+@pytest.mark.parametrize("runtime", ["onnxruntime", "openvino"])
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_an_output_that_is_not_finite_is_refused(runtime: str, value: float) -> None:
+    pytest.importorskip(runtime)
+    rows = chosen([8, 20, 40, 30, 0.75, 0])
+    rows[0, 7, 2] = value
+    detector = YoloDetector(network(rows, props=CUCUMBER), runtime)
+    with pytest.raises(ModelError, match="numbers that are not finite"):
+        detector.detect(PICTURE)

@@ -1,0 +1,167 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from cucumbervision.capture.frames import Capture
+from cucumbervision.errors import ModelError, ModelHashError
+from cucumbervision.fruit.instance import UNKNOWN_ORDER, MaskSource
+from cucumbervision.fruit.masks import box_iou, box_of_mask
+from cucumbervision.methods.methods import AVAILABLE
+from cucumbervision.methods.result import MethodName, Reason
+from cucumbervision.methods.selector import measure_fruit
+from cucumbervision.networks.registry import Registry, load_registry
+from cucumbervision.run.finders import make_finder
+from cucumbervision.run.options import MeasureOptions
+
+
+@pytest.fixture
+def plain(row_a: Capture) -> Capture:
+    """The capture without the data set's masks."""
+    return replace(row_a, masks=())
+
+
+def test_models_find_each_fruit_once_with_keypoints_and_sams_mask(
+    row_a: Capture, own_registry: Registry
+) -> None:
+    options = MeasureOptions(instances="models", segmenter="mobile-sam")
+    finder = make_finder(options, own_registry)
+    instances = finder.find(row_a).instances
+    # The half that was found once more is the first fruit.
+    assert len(instances) == len(row_a.masks)
+    for instance, mask in zip(instances, row_a.masks, strict=True):
+        assert box_iou(instance.box, box_of_mask(mask)) > 0.95
+        assert instance.mask_source is MaskSource.SAM
+        assert instance.detector_mask is not None
+        assert instance.keypoints is not None
+        assert instance.keypoints[0, 1] > instance.keypoints[4, 1]  # the blossom end hangs
+    assert [m["name"] for m in finder.networks.models] == ["tiny-seg", "tiny-pose", "mobile-sam"]
+    hashes = own_registry.hashes("tiny-seg")
+    assert finder.networks.models[0]["sha256"] == hashes["tiny-seg.onnx"]
+
+
+def test_sam_draws_only_where_the_detectors_mask_fits_no_tube(
+    plain: Capture, own_registry: Registry
+) -> None:
+    finder = make_finder(MeasureOptions(instances="models"), own_registry)
+    bright = finder.find(plain).instances
+    assert [instance.mask_source for instance in bright] == [MaskSource.DETECTOR] * 3
+    assert [m["name"] for m in finder.networks.models] == ["tiny-seg", "tiny-pose"]
+    dark = plain.depth_m.copy()
+    left, top, right, bottom = bright[0].box.round().astype(int)
+    dark[top : bottom + 1, left : right + 1] = 0
+    detections = finder.find(replace(plain, depth_m=dark))
+    instances = detections.instances
+    drawn = [instance for instance in instances if instance.mask_source is MaskSource.SAM]
+    assert [tube is None for tube in detections.tubes] == [
+        instance in drawn for instance in instances
+    ]
+    assert len(instances) == 3
+    assert [box_iou(instance.box, bright[0].box) for instance in drawn] == [1.0]
+    assert [m["name"] for m in finder.networks.models] == ["tiny-seg", "tiny-pose", "mobile-sam"]
+
+
+def test_the_tube_that_judged_a_mask_is_the_fruits_and_is_fitted_once(
+    plain: Capture, own_registry: Registry
+) -> None:
+    detections = make_finder(MeasureOptions(instances="models"), own_registry).find(plain)
+    for instance, tube in zip(detections.instances, detections.tubes, strict=True):
+        assert tube is not None
+        refitted = measure_fruit(plain, instance).measurements[MethodName.M6]
+        assert tube.length_m == refitted.length_m
+        longer_tube = replace(tube, length_m=1.0)
+        fruit = measure_fruit(plain, instance, tube=longer_tube)
+        assert list(fruit.measurements) == list(AVAILABLE)
+        assert fruit.measurements[MethodName.M6].length_m == 1.0
+        assert (
+            MethodName.M6
+            not in measure_fruit(plain, instance, (MethodName.M3,), tube=longer_tube).measurements
+        )
+
+
+def test_auto_looks_where_there_are_no_masks_and_loads_nothing_before(
+    row_a: Capture, plain: Capture, own_registry: Registry
+) -> None:
+    finder = make_finder(MeasureOptions(segmenter=None), own_registry)
+    instances = finder.find(row_a).instances
+    assert [instance.mask_source for instance in instances] == [MaskSource.DATASET] * 3
+    assert finder.networks.models == []
+    assert len(finder.find(plain).instances) == 3
+    assert len(finder.networks.models) == 2
+    finder.find(plain)
+    assert len(finder.networks.models) == 2
+
+
+def test_auto_without_any_detector_still_takes_a_data_sets_masks(
+    row_a: Capture, plain: Capture, bare_registry: Registry
+) -> None:
+    finder = make_finder(MeasureOptions(), bare_registry)
+    assert len(finder.find(row_a).instances) == 3
+    with pytest.raises(ModelError, match="without a cucumber detector"):
+        finder.find(plain)
+
+
+def test_models_that_are_not_there_stop_the_run(bare_registry: Registry) -> None:
+    with pytest.raises(ModelError, match="this version comes without a cucumber detector"):
+        make_finder(MeasureOptions(instances="models"), bare_registry)
+
+
+def test_a_damaged_network_stops_the_run(own_registry: Registry, tmp_path: Path) -> None:
+    (tmp_path / "weights").mkdir()
+    (tmp_path / "weights" / "tiny-seg.onnx").write_bytes(b"\x08")
+    broken = Registry(own_registry.models, tmp_path / "weights", tmp_path)
+    with pytest.raises(ModelHashError, match=r"tiny-seg\.onnx"):
+        make_finder(MeasureOptions(instances="models"), broken)
+
+
+def test_a_pose_network_of_ones_own_gives_keypoints_to_the_data_sets_masks(
+    row_a: Capture, own_networks: dict[str, Path], bare_registry: Registry
+) -> None:
+    options = MeasureOptions(instances="dataset", pose=own_networks["pose"])
+    instances = make_finder(options, bare_registry).find(row_a).instances
+    assert all(instance.keypoints is not None for instance in instances)
+    assert all(instance.mask_source is MaskSource.DATASET for instance in instances)
+
+
+def test_the_look_at_each_fruit_orders_the_points_of_a_pose_network(row_a: Capture) -> None:
+    pose = load_registry().resolve("cucumber-pose")["network"]
+    finder = make_finder(MeasureOptions(instances="dataset", pose=pose))
+    posed = [x for x in finder.find(row_a).instances if x.keypoints is not None]
+    assert posed
+    for instance in posed:
+        assert instance.keypoints is not None
+        assert instance.end_confidence not in (None, UNKNOWN_ORDER)
+        # These fruit hang: the stem is above.
+        assert instance.keypoints[-1, 1] < instance.keypoints[0, 1]
+    assert {model["task"] for model in finder.networks.models} == {"pose", "fruit"}
+
+
+def test_a_pose_network_must_be_one(own_networks: dict[str, Path], own_registry: Registry) -> None:
+    options = MeasureOptions(instances="models", pose=own_networks["segment"])
+    with pytest.raises(ModelError, match=r"seg\.onnx: it is a segment network .*--pose"):
+        make_finder(options, own_registry)
+
+
+def test_m4_measures_by_perceived_keypoints(row_a: Capture, own_registry: Registry) -> None:
+    options = MeasureOptions(instances="models", segmenter="none")
+    for instance in make_finder(options, own_registry).find(row_a).instances:
+        fruit = measure_fruit(row_a, instance)
+        m4, m3 = fruit.measurements[MethodName.M4], fruit.measurements[MethodName.M3]
+        # From the outermost pixels' middles along a hanging fruit: M3's extent, about.
+        assert m4.reason is Reason.OK
+        assert m4.is_direct
+        assert m4.length_m is not None
+        assert m3.length_m is not None
+        assert m4.length_m == pytest.approx(m3.length_m, rel=0.06)
+
+
+def test_the_packages_own_networks_come_with_a_card() -> None:
+    registry = load_registry()
+    for model in registry.models:
+        if model.task in ("segment", "pose"):
+            assert model.embedded
+            assert model.licence == "AGPL-3.0-only"
+            assert model.card
+            assert list(registry.resolve(model.name)) == ["network"]

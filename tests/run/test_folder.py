@@ -1,0 +1,119 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+import uuid
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from cucumbervision.errors import CucumberVisionError
+from cucumbervision.files import as_path
+from cucumbervision.run.fields import FIELDS
+from cucumbervision.run.folder import CaptureRecord, OutputFolder
+from cucumbervision.run.measurer import Failure
+
+
+@pytest.fixture(params=["local", "remote"])
+def out(request: pytest.FixtureRequest, tmp_path: Path) -> OutputFolder:
+    """An output folder on the disk, or on a store."""
+    if request.param == "local":
+        return OutputFolder(tmp_path / "out")
+    pytest.importorskip("upath")
+    return OutputFolder(as_path(f"memory://{uuid.uuid4().hex}"))
+
+
+@pytest.fixture
+def local(tmp_path: Path) -> OutputFolder:
+    return OutputFolder(tmp_path / "out")
+
+
+def record(name: str, fruit: int = 1) -> CaptureRecord:
+    cells = {field.name: None for field in FIELDS}
+    rows = [{**cells, "capture": name, "fruit": k, "pose": None} for k in range(1, fruit + 1)]
+    return CaptureRecord(
+        key="cd",
+        capture={"name": name, "fruit": rows},
+        failures=(Failure("house", name, "DepthError", "a: 黄瓜 has no depth"),),
+        models=[{"name": "x"}],
+        picture=None,
+    )
+
+
+def test_a_file_replaces_another_and_leaves_no_other(out: OutputFolder) -> None:
+    assert not out.has("overlays/a.png")
+    for data in (b"first", b"second"):
+        out.write("overlays/a.png", data)
+    assert (out.path / "overlays/a.png").read_bytes() == b"second"
+    assert [path.name for path in (out.path / "overlays").iterdir()] == ["a.png"]
+    with out.replacing("table.csv") as path:
+        assert path.suffix == ".csv"
+        path.write_text("a,b\n")
+    assert (out.path / "table.csv").read_text() == "a,b\n"
+
+
+def test_what_fails_half_way_leaves_what_was_there(out: OutputFolder) -> None:
+    out.write("table.csv", b"whole")
+
+    def break_off() -> None:
+        with out.replacing("table.csv") as path:
+            path.write_bytes(b"ha")
+            raise RuntimeError
+
+    with pytest.raises(RuntimeError):
+        break_off()
+    assert (out.path / "table.csv").read_bytes() == b"whole"
+    assert [path.name for path in out.path.rglob("*") if path.is_file()] == ["table.csv"]
+
+
+def test_the_next_run_removes_what_a_killed_one_left_half_written(local: OutputFolder) -> None:
+    pytest.importorskip("fcntl")
+    program = (
+        "import os, signal, sys; from pathlib import Path\n"
+        "from cucumbervision.run.folder import OutputFolder\n"
+        "with OutputFolder(Path(sys.argv[1])).replacing('overlays/a.png') as path:\n"
+        "    path.write_bytes(b'ha'); os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    subprocess.run([sys.executable, "-c", program, local.path], check=False)
+    left = [path for path in local.path.rglob("*") if path.is_file()]
+    assert [path.read_bytes() for path in left] == [b"ha"]
+    with local.locked(".lock"):
+        local.write("table.csv", b"whole")
+    assert sorted(path.name for path in local.path.iterdir()) == [".lock", "overlays", "table.csv"]
+    assert not list((local.path / "overlays").iterdir())
+
+
+def test_two_runs_do_not_write_into_one_folder(local: OutputFolder) -> None:
+    pytest.importorskip("fcntl")
+    with local.locked(".lock"):
+        folder = OutputFolder(local.path)
+        with (
+            pytest.raises(CucumberVisionError, match="another run is writing into it; wait"),
+            folder.locked(".lock"),
+        ):
+            raise AssertionError
+    with local.locked(".lock"):
+        pass
+
+
+def test_a_record_comes_back_as_an_earlier_one(out: OutputFolder) -> None:
+    sent = record("黄瓜 [b]", fruit=2)
+    out.save("黄瓜 [b]", sent)
+    assert out.find("黄瓜 [b]") == replace(sent, is_earlier=True)
+    assert [list(row) for row in sent.rows] == [[field.name for field in FIELDS]] * 2
+    assert out.find("another") is None
+
+
+@pytest.mark.parametrize("damage", [b"", b"[]", b"{}", b'{"failures": [7]}', b"\x00\xff{"])
+def test_a_damaged_record_is_none(damage: bytes, out: OutputFolder) -> None:
+    out.save("a", record("a"))
+    out.write("records/a.json", damage)
+    assert out.find("a") is None
+
+
+def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    (tmp_path / "out").write_text("no folder")
+    folder = OutputFolder(tmp_path / "out")
+    with pytest.raises(CucumberVisionError, match="out: cannot be"), folder.locked(".lock"):
+        raise AssertionError

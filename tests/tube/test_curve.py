@@ -1,0 +1,132 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+
+from cucumbervision.tube.curve import (
+    align_near,
+    arc_positions,
+    bin_centroids,
+    depth_gate,
+    natural_spline,
+    points_along,
+    polyline_length,
+    principal_axis,
+)
+
+
+def test_a_straight_line_has_its_own_length() -> None:
+    vertices = np.outer(np.array([0.0, 0.1, 0.25, 1.0]), [0.3, 0.0, 0.4])
+    length, path = natural_spline(vertices)
+    assert length == pytest.approx(0.5, abs=1e-12)
+    assert path[0] == pytest.approx(vertices[0])
+    assert path[-1] == pytest.approx(vertices[-1])
+
+
+def test_a_helix_has_its_analytic_length() -> None:
+    t = np.linspace(0, 2 * np.pi, 60)
+    helix = np.stack([0.03 * np.cos(t), 0.03 * np.sin(t), 0.2 * t / (2 * np.pi)], axis=1)
+    by_hand = np.hypot(2 * np.pi * 0.03, 0.2)
+    assert natural_spline(helix)[0] == pytest.approx(by_hand, rel=2e-4)
+
+
+def test_a_repeated_vertex_changes_nothing() -> None:
+    vertices = np.array([[0.0, 0, 0], [1.0, 1, 0], [2.0, 0, 0]])
+    twice = vertices[[0, 1, 1, 2, 2]]
+    assert natural_spline(twice)[0] == natural_spline(vertices)[0]
+
+
+def test_vertices_a_rounding_apart_are_one() -> None:
+    vertices = np.array([[0.0, 0, 0], [0.1, 0, 0], [0.1 + 1e-17, 1e-17, 0], [0.2, 0, 0]])
+    assert natural_spline(vertices)[0] == pytest.approx(0.2)
+
+
+def test_one_place_is_no_curve() -> None:
+    with pytest.raises(ValueError, match="two distinct vertices"):
+        natural_spline(np.ones((4, 3)))
+
+
+def test_polyline_of_one_vertex_has_no_length() -> None:
+    assert polyline_length(np.zeros((1, 3))) == 0.0
+
+
+def test_a_spline_through_three_points_by_hand() -> None:
+    # With y = 0, 1, 0 at x = 0, 1, 2 the second derivative is 0 at both ends and -3 in the middle:
+    # y = (3 x - x^3) / 2 up to there, 11/16 halfway.
+    _, path = natural_spline(np.array([[0.0, 0, 5], [1.0, 1, 5], [2.0, 0, 5]]), 5)
+    assert path[:, 1] == pytest.approx([0, 11 / 16, 1, 11 / 16, 0])
+    assert path[:, 2] == pytest.approx(5)
+
+
+def test_two_points_make_a_straight_line_of_as_many_samples_as_asked() -> None:
+    length, path = natural_spline(np.array([[0.0, 0, 0], [0.3, 0.4, 0]]), 11)
+    assert length == pytest.approx(0.5)
+    assert len(path) == 11
+    assert len(natural_spline(np.array([[0.0, 0, 0], [0.3, 0.4, 0]]))[1]) == 1000
+
+
+def test_points_along_a_bent_line() -> None:
+    corner = np.array([[0, 0], [3, 0], [3, 1]])
+    assert arc_positions(corner).tolist() == [0, 3, 4]
+    assert points_along(corner, (0.0, 0.5, 0.75, 0.875, 1.0)).tolist() == [
+        [0, 0],
+        [2, 0],
+        [3, 0],
+        [3, 0.5],
+        [3, 1],
+    ]
+
+
+@pytest.mark.parametrize("count", [2, 3, 9])
+def test_the_spline_is_scipys(count: int) -> None:
+    vertices = np.random.default_rng(count).normal(size=(count, 3))
+    parameter = arc_positions(vertices)
+    spline = CubicSpline(parameter / parameter[-1], vertices, bc_type="natural")
+    length_m, path_m = natural_spline(vertices, 500)
+    places = np.linspace(0, 1, 500)
+    np.testing.assert_allclose(path_m, spline(places), rtol=0, atol=1e-12)
+    speed = np.linalg.norm(spline(places, 1), axis=1)
+    assert length_m == pytest.approx(float(np.trapezoid(speed, places)), rel=1e-12)
+
+
+def test_principal_axis_is_the_first_right_singular_vector() -> None:
+    rng = np.random.default_rng(4)
+    cloud = rng.normal(0, (0.1, 0.02, 0.01), (500, 3)) @ np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    centroid, axis = principal_axis(cloud)
+    first = np.linalg.svd(cloud - cloud.mean(axis=0), full_matrices=False)[2][0]
+    assert abs(float(axis @ first)) == pytest.approx(1.0, abs=1e-12)
+    assert centroid == pytest.approx(cloud.mean(axis=0))
+
+
+def test_one_point_has_no_axis() -> None:
+    with pytest.raises(ValueError, match="1 points have no axis"):
+        principal_axis(np.zeros((1, 3)))
+
+
+def test_the_gate_keeps_its_own_border() -> None:
+    z = np.array([0.25, 0.5, 0.75])
+    points = np.stack([z, z, z], axis=1)
+    assert depth_gate(points, 0.25)[:, 2].tolist() == [0.25, 0.5, 0.75]
+    assert depth_gate(points, 0.2499)[:, 2].tolist() == [0.5]
+
+
+def test_an_empty_cloud_stays_empty() -> None:
+    assert depth_gate(np.empty((0, 3)), 0.035).shape == (0, 3)
+
+
+def test_bins_with_too_few_points_are_skipped() -> None:
+    x = np.array([0.0, 0.1, 0.2, 5.0, 9.8, 9.9, 10.0])
+    points = np.stack([x, 2 * x, 0 * x], axis=1)
+    centroids = bin_centroids(points, x, bins=5, at_least=3)
+    assert centroids == pytest.approx(np.array([[0.1, 0.2, 0.0], [9.9, 19.8, 0.0]]))
+
+
+def test_points_at_one_place_have_no_bins() -> None:
+    points = np.ones((9, 3))
+    assert bin_centroids(points, np.zeros(9), bins=5, at_least=1).shape == (0, 3)
+
+
+def test_positions_are_measured_from_the_centroid() -> None:
+    cloud = align_near(np.array([[1.0, 0.0, 0.5], [2.0, 0.0, 0.5], [6.0, 0.0, 0.5]]), 0.1)
+    assert cloud.along_m == pytest.approx([-2.0, -1.0, 3.0])

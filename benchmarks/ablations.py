@@ -35,10 +35,10 @@ from cucumbervision.networks.looks import PictureLooks
 from cucumbervision.networks.yolo import YoloDetector
 from cucumbervision.run.inputs import read_captures
 from cucumbervision.run.measurer import Failure
-from cucumbervision_lab.detection.outcomes import match_detections
-from cucumbervision_lab.detection.photos import audited_photos, half_size
-from cucumbervision_lab.detection.picture_result import Networks, merge_detections, open_networks
-from cucumbervision_lab.detection.pictures import (
+from cucumbervision_lab.evaluate.outcomes import match_detections
+from cucumbervision_lab.evaluate.photos import audited_photos, half_size
+from cucumbervision_lab.evaluate.picture_result import Networks, merge_detections, open_networks
+from cucumbervision_lab.evaluate.pictures import (
     DetectedFruit,
     Frame,
     Stage,
@@ -47,7 +47,7 @@ from cucumbervision_lab.detection.pictures import (
     frame_of,
     read_held_out,
 )
-from cucumbervision_lab.detection.run import chosen_networks
+from cucumbervision_lab.evaluate.scenes import chosen_networks
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence

@@ -28,7 +28,6 @@ from scipy.optimize import least_squares
 
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.capture.source import ReadOptions
-from cucumbervision.tube.curve import points_along, polyline_length
 from cucumbervision.fruit.masks import box_of_mask
 from cucumbervision.methods.flags import Flag
 from cucumbervision.methods.result import MethodName
@@ -36,7 +35,8 @@ from cucumbervision.networks.confidence import DEFAULT_CONFIDENCE, parse_input_s
 from cucumbervision.run.inputs import read_captures
 from cucumbervision.run.measurer import Failure, Measurer
 from cucumbervision.run.options import MeasureOptions
-from cucumbervision_lab.detection.outcomes import match_boxes
+from cucumbervision.tube.curve import points_along, polyline_length
+from cucumbervision_lab.evaluate.outcomes import match_boxes
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray

@@ -21,11 +21,11 @@ from rich.console import Console
 from rich.table import Table
 
 from cucumbervision.methods.intervals import WIDEST, shipped_interval_models
-from cucumbervision_lab.benchmark.cases import stress_cases
-from cucumbervision_lab.benchmark.measure_case import CaseOptions, Masks, readings_frame
-from cucumbervision_lab.benchmark.run import TRUTH_OF, run_cases, with_intervals
 from cucumbervision_lab.cli.screen import part_bars
-from cucumbervision_lab.detection.run import set_records
+from cucumbervision_lab.evaluate.benchmark import TRUTH_OF, run_cases, with_intervals
+from cucumbervision_lab.evaluate.cases import stress_cases
+from cucumbervision_lab.evaluate.measure_case import CaseOptions, Masks, readings_frame
+from cucumbervision_lab.evaluate.scenes import set_records
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -34,8 +34,8 @@ from cucumbervision.methods.result import (
 from cucumbervision.methods.selector import measure_fruit
 from cucumbervision.run.finders import make_finder
 from cucumbervision.run.options import MeasureOptions
-from cucumbervision_lab.benchmark.cases import CAMERA, build_scene, paint_scene, stress_cases
-from cucumbervision_lab.benchmark.measure_case import disturb_mask, draw_disturbance, found_at
+from cucumbervision_lab.evaluate.cases import CAMERA, build_scene, paint_scene, stress_cases
+from cucumbervision_lab.evaluate.measure_case import disturb_mask, draw_disturbance, found_at
 from cucumbervision_lab.scenes.depth_camera import D4xx, sense
 from cucumbervision_lab.scenes.scene import render
 
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from cucumbervision.methods.result import Fruit
-    from cucumbervision_lab.benchmark.cases import Case
+    from cucumbervision_lab.evaluate.cases import Case
 
     Find = Callable[[Capture], Sequence[Instance]]
 

@@ -25,7 +25,6 @@ from rich.table import Table
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.pictures import read_color
-from cucumbervision.tube.curve import arc_positions, points_along
 from cucumbervision.fruit.crops import EndCrop, end_crop
 from cucumbervision.fruit.masks import distances_inside
 from cucumbervision.methods.selector import DOUBTFUL
@@ -34,6 +33,7 @@ from cucumbervision.networks.looks import EndLooker
 from cucumbervision.networks.registry import load_registry
 from cucumbervision.run.measurer import Measurer
 from cucumbervision.run.options import MeasureOptions
+from cucumbervision.tube.curve import arc_positions, points_along
 from cucumbervision_lab.train.end_look import area_under_curve
 
 if TYPE_CHECKING:

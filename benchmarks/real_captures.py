@@ -19,9 +19,9 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from cucumbervision.methods.methods import AVAILABLE
+from cucumbervision.methods.table import AVAILABLE
 from cucumbervision.run.options import MeasureOptions
-from cucumbervision.run.run import measure_inputs
+from cucumbervision.run.whole_run import measure_inputs
 
 CARROT, YCB = "rgbd/carrot_realsense_1280", "rgbd/ycb_realsense_640"
 MASKS = {"data set": None, "MobileSAM, box + point": "box+point", "MobileSAM, box": "box"}

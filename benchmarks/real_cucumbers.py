@@ -41,14 +41,14 @@ from rich.console import Console
 from rich.table import Table
 
 from cucumbervision.capture.source import ReadOptions
-from cucumbervision.tube.curve import polyline_length
 from cucumbervision.methods.flags import Flag
-from cucumbervision.methods.methods import AVAILABLE
 from cucumbervision.methods.result import MethodName
+from cucumbervision.methods.table import AVAILABLE
 from cucumbervision.networks.confidence import parse_input_sizes
 from cucumbervision.run.inputs import read_captures
 from cucumbervision.run.measurer import Failure, Measurer
 from cucumbervision.run.options import MeasureOptions
+from cucumbervision.tube.curve import polyline_length
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

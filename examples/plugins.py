@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 from cucumbervision import Capture, Instance, Intrinsics, LengthKind, Measurement, TableTrait
 from cucumbervision.capture.pictures import read_color, read_depth
 from cucumbervision.errors import IntrinsicsError
-from cucumbervision.methods.methods import Region, TableMethod
+from cucumbervision.methods.table import Region, TableMethod
 from cucumbervision.methods.result import Fruit, Reason
 
 if TYPE_CHECKING:

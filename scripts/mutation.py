@@ -1,4 +1,4 @@
-"""Mutation score of geometry and measurement: how many small faults in the code the tests notice.
+"""Mutation score of the tube and the methods: how many small faults in the code the tests notice.
 
     pip install mutmut && python scripts/mutation.py MUTANTS SEED
 

@@ -12,9 +12,9 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.fruit.instance import Instance
-from cucumbervision.methods.methods import Region, TableMethod
 from cucumbervision.methods.result import LengthKind, Measurement
 from cucumbervision.methods.selector import measure_fruit
+from cucumbervision.methods.table import Region, TableMethod
 from cucumbervision.threads import OneThread
 
 Seen = list[set[int]]

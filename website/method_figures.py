@@ -24,10 +24,8 @@ from PIL import Image
 
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
-from cucumbervision.tube.curve import align_near
 from cucumbervision.fruit.masks import box_of_mask
 from cucumbervision.methods.m6 import TubeView, view_tube
-from cucumbervision.methods.methods import GATE_M, Region, run_methods
 from cucumbervision.methods.paper_methods import (
     M1_WINDOW_PX,
     reference_depth,
@@ -36,7 +34,9 @@ from cucumbervision.methods.paper_methods import (
 )
 from cucumbervision.methods.paper_methods import M1_WINDOW_PX as M4_WINDOW_PX
 from cucumbervision.methods.result import Measurement, MethodName
+from cucumbervision.methods.table import GATE_M, Region, run_methods
 from cucumbervision.methods.traits import TubeTraits
+from cucumbervision.tube.curve import align_near
 from cucumbervision_lab.scenes.bodies import Tube
 from cucumbervision_lab.scenes.scene import FruitTruth, truth_of
 

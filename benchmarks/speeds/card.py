@@ -16,7 +16,7 @@ from cucumbervision.fruit.masks import box_ious
 from cucumbervision.networks.runtime import import_onnxruntime
 from cucumbervision.run.measurer import Measurer
 from cucumbervision.run.options import MeasureOptions
-from cucumbervision.stream.stream import FruitStream
+from cucumbervision.stream.fruit_stream import FruitStream
 from speeds.frames import MODELS, bundled, five_fruit, overlapped
 from speeds.stages import StageClock
 

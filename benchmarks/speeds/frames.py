@@ -16,9 +16,9 @@ from cucumbervision.capture.source import example_captures
 from cucumbervision.run.batch import Engine
 from cucumbervision.run.measurer import Failure
 from cucumbervision.run.options import MeasureOptions
-from cucumbervision.run.run import BatchOptions, measure_inputs
+from cucumbervision.run.whole_run import BatchOptions, measure_inputs
+from cucumbervision.stream.fruit_stream import FruitStream
 from cucumbervision.stream.sources import in_order
-from cucumbervision.stream.stream import FruitStream
 
 MODELS = MeasureOptions(instances="models")
 

@@ -14,10 +14,10 @@ from scipy.interpolate import CubicSpline
 
 from cucumbervision.capture.frames import median_depth
 from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision.tube.tube_kernel import kernel_name
 from cucumbervision.fruit.masks import box_of_mask
-from cucumbervision.methods.methods import Region, run_methods
 from cucumbervision.methods.result import MethodName
+from cucumbervision.methods.table import Region, run_methods
+from cucumbervision.tube.compiled import kernel_name
 from cucumbervision_lab.scenes.bodies import arc_tube, rotation
 from cucumbervision_lab.scenes.depth_camera import D4xx, sense
 from cucumbervision_lab.scenes.scene import Scene, render

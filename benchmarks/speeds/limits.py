@@ -9,8 +9,8 @@ import time
 
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
-from cucumbervision.tube.tube_kernel import kernel_name
 from cucumbervision.run.batch import in_process
+from cucumbervision.tube.compiled import kernel_name
 from speeds.frames import GIVEN, pace
 from speeds.kernels import draw_region, milliseconds, timed, times_the_floor
 

@@ -9,9 +9,9 @@ from statistics import median
 
 from figures import Figure
 
-from cucumbervision.methods.methods import run_methods
 from cucumbervision.methods.result import MethodName
-from cucumbervision_lab.benchmark.baselines import BASELINES, available_baselines
+from cucumbervision.methods.table import run_methods
+from cucumbervision_lab.evaluate.baselines import BASELINES, available_baselines
 from speeds.kernels import CAMERA, PAPER_METHODS, draw_region, floor, fresh, milliseconds
 
 

@@ -16,9 +16,9 @@ from cucumbervision.capture.source import example_captures
 from cucumbervision.run.folder import OutputFolder
 from cucumbervision.run.inputs import Listed, list_captures
 from cucumbervision.run.measurer import Measurer
-from cucumbervision.run.run import FolderWorker
-from cucumbervision.stream import stream as streaming
-from cucumbervision.stream.stream import FruitStream
+from cucumbervision.run.whole_run import FolderWorker
+from cucumbervision.stream import fruit_stream as streaming
+from cucumbervision.stream.fruit_stream import FruitStream
 from speeds.frames import MODELS, overlapped
 from speeds.stages import StageClock, by_stage, stage_ms
 

@@ -18,7 +18,7 @@ from cucumbervision.capture.source import example_captures
 _START = """
 import sys, time
 from cucumbervision.cli import app
-from cucumbervision.run import run
+from cucumbervision.run import whole_run as run
 take = run._Run._take
 def first(self, *given):
     done = take(self, *given)

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
     from cucumbervision.capture.source import CaptureLister, Folder
     from cucumbervision.fruit.instance import Instance
-    from cucumbervision.methods.methods import Region
     from cucumbervision.methods.result import Fruit, LengthKind, Measurement
+    from cucumbervision.methods.table import Region
     from cucumbervision.methods.traits import TraitValue
 
 

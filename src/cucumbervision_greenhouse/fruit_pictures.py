@@ -11,8 +11,8 @@ import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.fruit.mask_codes import decode_rle
-from cucumbervision.methods.methods import method_color
 from cucumbervision.methods.paper_methods import window_depths
+from cucumbervision.methods.table import method_color
 from cucumbervision.run.overlay import as_jpeg, mask_outlines, path_px
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.words import label_words, length_words

@@ -10,9 +10,9 @@ from typing import Annotated, Literal, get_args
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
-from cucumbervision.crop.profiles import load_profile
 from cucumbervision.capture.realsense_device import CameraSettings
 from cucumbervision.capture.source import ReadOptions
+from cucumbervision.crop.profiles import load_profile
 from cucumbervision.errors import CucumberVisionError, wrap_os_errors
 from cucumbervision.methods.result import LengthDefinition, Selector
 from cucumbervision.networks.confidence import DEFAULT_CONFIDENCE

@@ -17,6 +17,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.intrinsics import Intrinsics, Stream
 from cucumbervision.capture.pictures import COLOR_SUFFIXES, read_color
+from cucumbervision.capture.uploads import Limits, accept_uploads
 from cucumbervision.errors import (
     CucumberVisionError,
     DiskFullError,
@@ -26,7 +27,6 @@ from cucumbervision.errors import (
     StoreAwayError,
     UploadError,
 )
-from cucumbervision.intake.uploads import Limits, accept_uploads
 from cucumbervision.names import LONGEST_NAME, checked_name
 from cucumbervision_greenhouse.core_words import StoredMessage
 from cucumbervision_greenhouse.rounds.adding import RoundCapture
@@ -38,7 +38,7 @@ from cucumbervision_greenhouse.store.records import key_of
 if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
     from cucumbervision.capture.source import CaptureSource, ReadOptions
-    from cucumbervision.intake.uploads import AcceptedSource
+    from cucumbervision.capture.uploads import AcceptedSource
     from cucumbervision_greenhouse.store.repository import Store
     from cucumbervision_greenhouse.store.waiting import WaitingCaptures
 

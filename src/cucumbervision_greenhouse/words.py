@@ -28,8 +28,8 @@ from cucumbervision_greenhouse.rounds.merge_and_link import DAY_S
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from cucumbervision.crop.grades import Grade
     from cucumbervision.capture.frames import Stop
+    from cucumbervision.crop.grades import Grade
     from cucumbervision_greenhouse.forecast.forecast import Forecast
     from cucumbervision_greenhouse.forecast.growth import Growth
     from cucumbervision_greenhouse.forecast.picking import Pick, Span

@@ -1,16 +1,26 @@
-"""Captures to read and to write."""
+"""Captures to read and to write, and what strangers may send."""
 
 from __future__ import annotations
 
+import io
+import json
 import os
+import zipfile
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 from cucumbervision.capture.frames import Capture, Stop
 from cucumbervision.capture.intrinsics import Intrinsics
+from cucumbervision.capture.readers.native import write_native
+from cucumbervision.capture.uploads import AcceptedUploads, Limits, accept_uploads
 from cucumbervision.tube.camera import Distortion
+
+CAMERA = Intrinsics(64, 48, 60.0, 60.0, 31.5, 23.5)
+INTRINSICS = {"stream": "color", "width": 64, "height": 48, "fx": 60, "fy": 60, "cx": 31, "cy": 23}
 
 
 @pytest.fixture
@@ -52,3 +62,85 @@ def data() -> Path:
     if not folder or not Path(folder).is_dir():
         pytest.skip("CUCUMBERVISION_DATA names no folder of real captures")
     return Path(folder)
+
+
+def encoded(suffix: str, image: np.ndarray) -> bytes:
+    done, data = cv2.imencode(suffix, image)
+    assert done
+    return bytes(data.tobytes())
+
+
+def zipped(members: Mapping[str, bytes]) -> bytes:
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in members.items():
+            archive.writestr(name, data)
+    return stream.getvalue()
+
+
+@pytest.fixture(scope="session")
+def color_jpg() -> bytes:
+    return encoded(".jpg", np.full((48, 64, 3), 90, np.uint8))
+
+
+@pytest.fixture(scope="session")
+def depth_png() -> bytes:
+    return encoded(".png", np.full((48, 64), 450, np.uint16))
+
+
+@pytest.fixture(scope="session")
+def intrinsics_json() -> bytes:
+    return json.dumps(INTRINSICS).encode()
+
+
+@pytest.fixture(scope="session")
+def native_zip(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """Two native captures of one fruit each, in a folder, and a page about them."""
+    folder = tmp_path_factory.mktemp("native")
+    mask = np.zeros((48, 64), bool)
+    mask[20:30, 10:50] = True
+    for number in (1, 2):
+        depth_m = np.full((48, 64), 0.45 + 0.01 * number, np.float32)
+        capture = Capture(
+            np.zeros((48, 64, 3), np.uint8), depth_m, CAMERA, f"stop {number}", masks=(mask,)
+        )
+        write_native(capture, folder / "row 3" / str(number))
+    members = {
+        path.relative_to(folder).as_posix(): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
+    return zipped(members | {"README.txt": b"our first walk", "__MACOSX/._x": b"\0"})
+
+
+@pytest.fixture
+def files_in() -> Callable[[Path], list[str]]:
+    """List all files below a folder, and folders that are empty."""
+
+    def listed(folder: Path) -> list[str]:
+        return sorted(
+            p.relative_to(folder).as_posix()
+            for p in folder.rglob("*")
+            if p.is_file() or not any(p.iterdir())
+        )
+
+    return listed
+
+
+def send(folder: Path, limits: Limits | None = None, **files: bytes) -> AcceptedUploads:
+    """Send files; 'a__b' stands for a.b and 'a___b' for a/b."""
+    named = [(n.replace("___", "/").replace("__", "."), io.BytesIO(d)) for n, d in files.items()]
+    return accept_uploads(named, folder / "in", limits)
+
+
+def faults(got: AcceptedUploads) -> dict[str, str]:
+    return {one.source: str(one) for one in got.refused}
+
+
+def zip_of(*members: tuple[str | zipfile.ZipInfo, bytes], packed: bool = True) -> bytes:
+    stream = io.BytesIO()
+    kind = zipfile.ZIP_DEFLATED if packed else zipfile.ZIP_STORED
+    with zipfile.ZipFile(stream, "w", kind) as archive:
+        for name, data in members:
+            archive.writestr(name, data)
+    return stream.getvalue()

@@ -9,8 +9,8 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from cucumbervision.crop.profiles import load_profile
 from cucumbervision.cli.choices import loop_options, measure_options, takes
+from cucumbervision.crop.profiles import load_profile
 from cucumbervision.methods.result import LengthDefinition, MethodName, Selector
 from cucumbervision.run.options import MeasureOptions
 

@@ -18,7 +18,7 @@ from cucumbervision.cli.live import clock, enter_keys, print_recording, print_st
 from cucumbervision.errors import CameraError
 from cucumbervision.run.measurer import Failure, Measurer
 from cucumbervision.run.options import MeasureOptions
-from cucumbervision.stream.stream import FruitStream, StreamedFrame
+from cucumbervision.stream.fruit_stream import FruitStream, StreamedFrame
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 UNREAD = Failure("a", "[b]", "CaptureError", "[b]: is damaged; copy it again")

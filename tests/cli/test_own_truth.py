@@ -12,7 +12,7 @@ import pytest
 from cucumbervision.capture.source import example_captures
 from cucumbervision.methods.result import MethodName
 from cucumbervision.run.options import MeasureOptions
-from cucumbervision.run.run import measure_inputs
+from cucumbervision.run.whole_run import measure_inputs
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from cucumbervision.stream.stream import FRAME_FIELDS, TRACK_FIELDS
+from cucumbervision.stream.fruit_stream import FRAME_FIELDS, TRACK_FIELDS
 
 PAGE = Path(__file__).parents[2] / "docs" / "integration.md"
 

@@ -10,10 +10,10 @@ import pytest
 
 pytest.importorskip("babel")
 
+from cucumbervision.capture.uploads import accept_uploads
 from cucumbervision.crop.grades import GradingTraits, grade
 from cucumbervision.crop.profiles import load_profile, profiles
 from cucumbervision.errors import CucumberVisionError, Message
-from cucumbervision.intake.uploads import accept_uploads
 from cucumbervision.methods.flags import FLAGS, Flag, data_doubts
 from cucumbervision.methods.result import Length
 from cucumbervision.run.summary import Summary

@@ -11,11 +11,11 @@ from demo_captures import SCENES, place
 from tests.calibration.test_calibration_file_calibrated import entry, site
 from tests.greenhouse.conftest import add_one
 
-from cucumbervision.crop.profiles import load_profile
-from cucumbervision.calibration.calibration_file import write_site_calibration
+from cucumbervision.accuracy.calibration_file import write_site_calibration
 from cucumbervision.capture.frames import Stop
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
+from cucumbervision.crop.profiles import load_profile
 from cucumbervision.errors import (
     CalibrationError,
     CucumberVisionError,

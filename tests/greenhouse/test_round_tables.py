@@ -19,6 +19,7 @@ from tests.greenhouse.pages.app_pages import tables
 from cucumbervision.crop.grades import class_name
 from cucumbervision.crop.profiles import load_profile
 from cucumbervision.methods.result import Length
+from cucumbervision_greenhouse.exports.build import round_tables
 from cucumbervision_greenhouse.forecast.picking import (
     PickKind,
     hours_words,
@@ -26,7 +27,6 @@ from cucumbervision_greenhouse.forecast.picking import (
     plan_work,
     work_of,
 )
-from cucumbervision_greenhouse.exports.build import round_tables
 from cucumbervision_greenhouse.pages.hand_lengths import measured_round
 from cucumbervision_greenhouse.round_tables import grade_round, length_lines, map_lines
 from cucumbervision_greenhouse.rounds.forecasting import forecast_today

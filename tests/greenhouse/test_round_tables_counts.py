@@ -23,8 +23,8 @@ from streamlit.testing.v1 import AppTest
 from tests.greenhouse.pages.app_pages import tables
 from typer.testing import CliRunner
 
-from cucumbervision.crop.profiles import load_profile
 from cucumbervision.cli.app import app as command
+from cucumbervision.crop.profiles import load_profile
 from cucumbervision.methods.result import Length, LengthDefinition
 from cucumbervision_greenhouse.exports import ExportFormat
 from cucumbervision_greenhouse.exports.build import RoundTables, round_tables

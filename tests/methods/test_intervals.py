@@ -33,7 +33,7 @@ from cucumbervision.methods.result import (
     MethodName,
 )
 from cucumbervision.methods.selector import measure_fruit
-from cucumbervision_lab.benchmark.run import RAW_FEATURES, TUBE_FEATURES
+from cucumbervision_lab.evaluate.benchmark import RAW_FEATURES, TUBE_FEATURES
 from cucumbervision_lab.scenes.bodies import arc_tube, rotation
 from cucumbervision_lab.scenes.scene import Scene, render
 from cucumbervision_lab.train.end_look import LOOK_FEATURES

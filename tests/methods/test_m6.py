@@ -14,15 +14,15 @@ from cucumbervision.capture.frames import median_depth
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
-from cucumbervision.tube import tube_kernel
-from cucumbervision.tube.tube import TubeShape
-from cucumbervision.tube.tube_evidence import Evidence
-from cucumbervision.tube.tube_fit import TubeFitting, fit_shape
-from cucumbervision.tube.tube_guess import guess_shape
 from cucumbervision.methods.flags import Flag
 from cucumbervision.methods.m6 import TubeView, fits_well, measure_m6, view_tube
 from cucumbervision.methods.result import LengthKind, Measurement, Reason, TubeFit
 from cucumbervision.methods.traits import TubeLengths
+from cucumbervision.tube import compiled as tube_kernel
+from cucumbervision.tube.evidence import Evidence
+from cucumbervision.tube.fit import TubeFitting, fit_shape
+from cucumbervision.tube.guess import guess_shape
+from cucumbervision.tube.shape import TubeShape
 from cucumbervision_lab.scenes.bodies import Tube, arc_tube, bent_tube, rotation
 from cucumbervision_lab.scenes.depth_camera import D4xx, sense
 from cucumbervision_lab.scenes.scene import Scene, render

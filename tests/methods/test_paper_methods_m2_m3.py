@@ -5,9 +5,9 @@ import pytest
 
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.fruit.masks import box_of_mask
-from cucumbervision.methods.methods import box_points, masked_points
 from cucumbervision.methods.paper_methods import measure_m2, measure_m3
 from cucumbervision.methods.result import Reason
+from cucumbervision.methods.table import box_points, masked_points
 from cucumbervision_lab.scenes.bodies import arc_tube, rotation
 from cucumbervision_lab.scenes.scene import Scene, render
 

@@ -7,9 +7,9 @@ import pytest
 from numpy.typing import NDArray
 
 from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision.methods.methods import masked_points
 from cucumbervision.methods.paper_methods import measure_m5
 from cucumbervision.methods.result import LengthKind, Reason
+from cucumbervision.methods.table import masked_points
 from cucumbervision_lab.scenes.bodies import arc_tube, rotation
 from cucumbervision_lab.scenes.scene import Scene, render
 

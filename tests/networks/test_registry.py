@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from cucumbervision.errors import ModelError, ModelHashError, UnknownModelError
-from cucumbervision.networks.networks import open_segmenter
+from cucumbervision.networks.loaded import open_segmenter
 from cucumbervision.networks.registry import (
     Registry,
     file_sha256,

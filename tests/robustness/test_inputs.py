@@ -18,15 +18,15 @@ from hypothesis import strategies as st
 from tests.capsules import capsule_capture, lying
 from tests.robustness.damage import damaged
 
-from cucumbervision import crop, measure_fruit
+from cucumbervision import measure_fruit
 from cucumbervision.accuracy.truth import floor_of, read_truth
-from cucumbervision.crop.profiles import load_profile
 from cucumbervision.capture.camera_file import read_camera_file
 from cucumbervision.capture.frames import Capture, Stop
 from cucumbervision.capture.intrinsics import Distortion, Intrinsics
 from cucumbervision.capture.readers import ReadOptions, open_source
 from cucumbervision.capture.readers.common import choose_intrinsics
 from cucumbervision.capture.readers.native import write_native
+from cucumbervision.crop.profiles import load_profile
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.fruit.instance import Instance, MaskSource
 from cucumbervision.fruit.instance_files import read_instances
@@ -108,7 +108,7 @@ def tables() -> dict[str, bytes]:
     lines = [head, "a,1,20.5,20.7,thread,s1", "b,1,20.5,20.7,thread,s1", "b,missed,11.5,,chord,s2"]
     text = "\n".join(lines)
     german = text.replace(",", ";").replace(".", ",").encode("utf-8-sig")
-    profile = Path(agronomy.__file__).parent / "crops" / "long-cucumber.toml"
+    profile = Path(crop.__file__).parent / "crops" / "long-cucumber.toml"
     return {
         "truth.csv": text.encode(),
         "german.csv": german,

@@ -14,14 +14,14 @@ from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers.native import write_native
 from cucumbervision.run.options import MeasureOptions
-from cucumbervision.run.run import measure_inputs
+from cucumbervision.run.whole_run import measure_inputs
 
 CAPTURES, KILLS = 12, 2
 CHILD = """
 import sys
 from pathlib import Path
 from cucumbervision.run.options import MeasureOptions
-from cucumbervision.run.run import measure_inputs
+from cucumbervision.run.whole_run import measure_inputs
 options = MeasureOptions(instances="dataset", methods=("M1",))
 measure_inputs([Path(sys.argv[1])], Path(sys.argv[2]), options, lambda step: print(flush=True))
 """

@@ -35,7 +35,7 @@ from cucumbervision.run.batch import (
 from cucumbervision.run.inputs import Listed, list_captures
 from cucumbervision.run.measurer import CaptureResult, Failure, Measurer
 from cucumbervision.run.options import MeasureOptions
-from cucumbervision.run.run import BatchOptions, measure_inputs
+from cucumbervision.run.whole_run import BatchOptions, measure_inputs
 
 OPTIONS = MeasureOptions(instances="dataset", methods=(MethodName.M1, MethodName.M3))
 

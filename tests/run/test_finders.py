@@ -9,9 +9,9 @@ from cucumbervision.capture.frames import Capture
 from cucumbervision.errors import ModelError, ModelHashError
 from cucumbervision.fruit.instance import UNKNOWN_ORDER, MaskSource
 from cucumbervision.fruit.masks import box_iou, box_of_mask
-from cucumbervision.methods.methods import AVAILABLE
 from cucumbervision.methods.result import MethodName, Reason
 from cucumbervision.methods.selector import measure_fruit
+from cucumbervision.methods.table import AVAILABLE
 from cucumbervision.networks.registry import Registry, load_registry
 from cucumbervision.run.finders import make_finder
 from cucumbervision.run.options import MeasureOptions

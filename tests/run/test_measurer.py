@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from tests.calibration.test_calibration_file_calibrated import entry, site
 
-from cucumbervision.calibration.calibration_file import (
+from cucumbervision.accuracy.calibration_file import (
     write_site_calibration,
 )
 from cucumbervision.capture.frames import Capture
@@ -29,7 +29,7 @@ from cucumbervision.run.measurer import (
     exit_code,
 )
 from cucumbervision.run.options import MeasureOptions
-from cucumbervision.run.run import measure_inputs
+from cucumbervision.run.whole_run import measure_inputs
 
 if TYPE_CHECKING:
     pass

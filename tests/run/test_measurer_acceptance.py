@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cucumbervision.crop.profiles import load_profile
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
+from cucumbervision.crop.profiles import load_profile
 from cucumbervision.fruit.instance import Instance
 from cucumbervision.methods.flags import Flag
 from cucumbervision.methods.result import (

@@ -8,15 +8,15 @@ from typing import Any
 
 import pytest
 
-from cucumbervision.crop.profiles import load_profile
 from cucumbervision.capture.conventions import DepthAlong, Stream
 from cucumbervision.capture.source import ReadOptions
+from cucumbervision.crop.profiles import load_profile
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.methods.result import LengthDefinition, MethodName, Selector
 from cucumbervision.networks.registry import load_registry
+from cucumbervision.plugins import Plugin
 from cucumbervision.run.options import MeasureOptions
 from cucumbervision.run.provenance import deciding_sha256
-from cucumbervision.plugins import Plugin
 
 USUAL, REGISTRY = MeasureOptions(), load_registry()
 

@@ -12,10 +12,10 @@ import pytest
 from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import CucumberVisionError, DiskFullError
 from cucumbervision.methods.result import MethodName
-from cucumbervision.run import run
+from cucumbervision.run import whole_run as run
 from cucumbervision.run.batch import Outcome, ReadCapture, SearchedCapture, choose_engine
 from cucumbervision.run.options import MeasureOptions
-from cucumbervision.run.run import BatchOptions, FolderWorker, measure_inputs
+from cucumbervision.run.whole_run import BatchOptions, FolderWorker, measure_inputs
 
 pytest.importorskip("ray")
 

@@ -134,7 +134,7 @@ def test_an_error_without_a_name_is_a_defect_of_ours_and_70(tmp_path: Path) -> N
 
 
 def test_a_defect_outside_of_captures_is_70_with_its_traceback(tmp_path: Path) -> None:
-    before = "import cucumbervision.run.run as run; del run.OutputFolder; "
+    before = "import cucumbervision.run.whole_run as run; del run.OutputFolder; "
     done = measure(BENCH, "--out", tmp_path, before=before)
     assert done.returncode == 70
     assert "Traceback" in done.stderr

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cucumbervision.methods.result import MethodName
 from cucumbervision.run.options import MeasureOptions
-from cucumbervision.run.run import measure_inputs
+from cucumbervision.run.whole_run import measure_inputs
 
 pytestmark = pytest.mark.realdata
 

@@ -14,12 +14,12 @@ from cucumbervision.capture.source import example_captures
 from cucumbervision.methods.selector import measure_fruit
 from cucumbervision.run.finders import make_finder
 from cucumbervision.run.options import MeasureOptions
-from cucumbervision.run.run import measure_inputs
+from cucumbervision.run.whole_run import measure_inputs
 from cucumbervision_greenhouse.rounds.adding import add_captures
 from cucumbervision_greenhouse.settings import Settings
 from cucumbervision_greenhouse.store.records import FruitRow, Round
 from cucumbervision_greenhouse.store.repository import open_store
-from cucumbervision_lab.benchmark.measure_case import fruit_lengths
+from cucumbervision_lab.evaluate.measure_case import fruit_lengths
 
 
 def said(record: FruitRow) -> dict[str, Any]:

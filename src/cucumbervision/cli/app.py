@@ -47,7 +47,7 @@ for _further in installed(_COMMANDS):
 
 def _show_version(is_asked: bool) -> None:
     if is_asked:
-        from cucumbervision.tube.tube_kernel import kernel_name
+        from cucumbervision.tube.compiled import kernel_name
 
         typer.echo(f"cucumbervision {__version__} (kernel: {kernel_name()})")
         raise typer.Exit

@@ -141,8 +141,8 @@ def measure_options(
     ] = None,
 ) -> MeasureOptions:
     """Return the measuring options of a command."""
-    from cucumbervision.crop.profiles import PACK_PROFILE, load_profile, profile_path
     from cucumbervision.capture.source import ReadOptions
+    from cucumbervision.crop.profiles import PACK_PROFILE, load_profile, profile_path
     from cucumbervision.networks.confidence import parse_input_sizes
     from cucumbervision.run.options import MeasureOptions
 

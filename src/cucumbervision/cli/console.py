@@ -30,7 +30,7 @@ from cucumbervision.methods.flags import flag_remarks, is_lower_bound
 from cucumbervision.methods.result import LengthDefinition
 from cucumbervision.run.detect import detect_inputs
 from cucumbervision.run.inputs import count_captures
-from cucumbervision.run.run import measure_inputs
+from cucumbervision.run.whole_run import measure_inputs
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from cucumbervision.run.detect import DetectResult
     from cucumbervision.run.measurer import Failure
     from cucumbervision.run.options import MeasureOptions
-    from cucumbervision.run.run import BatchOptions, RunResult
+    from cucumbervision.run.whole_run import BatchOptions, RunResult
 
 _MOST_ROWS = 40
 _WIDTH = 120

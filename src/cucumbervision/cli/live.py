@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from cucumbervision.errors import CucumberVisionError
     from cucumbervision.run.measurer import Failure
     from cucumbervision.run.options import MeasureOptions
-    from cucumbervision.stream.stream import StreamedFrame
+    from cucumbervision.stream.fruit_stream import StreamedFrame
 
 
 def print_stream(
@@ -187,8 +187,8 @@ def stream(
     """
     from cucumbervision.capture.realsense import CameraConfig
     from cucumbervision.run.measurer import Measurer
+    from cucumbervision.stream.fruit_stream import FruitStream
     from cucumbervision.stream.sources import open_stream
-    from cucumbervision.stream.stream import FruitStream
 
     fruit = FruitStream.fast(options) if fast else FruitStream(Measurer(options))
     config = CameraConfig(serial=serial, fps=fps)
@@ -326,7 +326,7 @@ def schema(
 ) -> None:
     """Print the JSON Schema of a stream's line or a reply of the service."""
     from cucumbervision.service.app import DetectReply, MeasureReply
-    from cucumbervision.stream.stream import line_model
+    from cucumbervision.stream.fruit_stream import line_model
 
     models: dict[Kind, type[BaseModel]]
     models = {Kind.STREAM: line_model(), Kind.MEASURE: MeasureReply, Kind.DETECT: DetectReply}

@@ -61,7 +61,7 @@ def measure(
     networks are measured.
     """
     from cucumbervision.cli.console import measure_and_show
-    from cucumbervision.run.run import BatchOptions
+    from cucumbervision.run.whole_run import BatchOptions
 
     batch = BatchOptions(**vars(loop), parquet=parquet, overlays=overlays)
     code = measure_and_show(
@@ -80,7 +80,7 @@ def demo(
     from cucumbervision.capture.source import example_captures
     from cucumbervision.cli.console import measure_and_show
     from cucumbervision.run.options import MeasureOptions
-    from cucumbervision.run.run import BatchOptions
+    from cucumbervision.run.whole_run import BatchOptions
 
     options, batch = MeasureOptions(instances="models"), BatchOptions()
     raise typer.Exit(measure_and_show([example_captures()], out, options, batch, quiet=quiet))

@@ -10,8 +10,8 @@ import typer
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from cucumbervision.accuracy.calibration_file import CorrectionEntry, SiteCalibration
     from cucumbervision.accuracy.table import ReportTable
-    from cucumbervision.calibration.calibration_file import CorrectionEntry, SiteCalibration
 
 
 def calibrate(
@@ -43,10 +43,10 @@ def calibrate(
     ] = None,
 ) -> None:
     """Fit corrections to hand-measured fruit, or depth scale and lens to a printed grid."""
+    from cucumbervision.accuracy.calibration_file import write_site_calibration
     from cucumbervision.accuracy.own_truth import read_measured
+    from cucumbervision.accuracy.site_calibration import calibrate_camera, calibrate_lengths
     from cucumbervision.accuracy.truth import read_truth
-    from cucumbervision.calibration.calibration_file import write_site_calibration
-    from cucumbervision.calibration.site_calibration import calibrate_camera, calibrate_lengths
     from cucumbervision.capture.readers import open_source
     from cucumbervision.capture.source import ReadOptions
     from cucumbervision.errors import CalibrationError
@@ -123,7 +123,7 @@ def _corrections_table(entries: Sequence[CorrectionEntry]) -> ReportTable:
 
 
 def _formula(entry: CorrectionEntry) -> str:
-    from cucumbervision.calibration.calibration_file import Form
+    from cucumbervision.accuracy.calibration_file import Form
 
     if entry.form is Form.NONE:
         return "none"

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
-from cucumbervision.tube.pixels import median_of
 from cucumbervision.methods.depth_doubts import LEAST_FILL
+from cucumbervision.tube.pixels import median_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -9,16 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
-from cucumbervision.tube.pixels import depth_across, median_of, outline_cracks
-from cucumbervision.tube.tube import TubeShape, with_tips
-from cucumbervision.tube.tube_evidence import Evidence, end_overhangs, gaps
-from cucumbervision.tube.tube_fit import TubeFitting, fit_shape
-from cucumbervision.tube.tube_guess import (
-    guess_from_midline,
-    guess_from_picture,
-    guess_shape,
-    near_depths,
-)
 from cucumbervision.fruit.masks import distances_inside, mask_window
 from cucumbervision.methods.depth_doubts import LEAST_FILL
 from cucumbervision.methods.flags import Flag
@@ -31,9 +21,19 @@ from cucumbervision.methods.hidden_end import (
     noise_waves,
     with_hidden_end,
 )
-from cucumbervision.methods.methods import Region, TableMethod
 from cucumbervision.methods.result import LengthKind, Measurement, MethodName, Reason, TubeFit
+from cucumbervision.methods.table import Region, TableMethod
 from cucumbervision.methods.traits import TubeTraits, tube_traits
+from cucumbervision.tube.evidence import Evidence, end_overhangs, gaps
+from cucumbervision.tube.fit import TubeFitting, fit_shape
+from cucumbervision.tube.guess import (
+    guess_from_midline,
+    guess_from_picture,
+    guess_shape,
+    near_depths,
+)
+from cucumbervision.tube.pixels import depth_across, median_of, outline_cracks
+from cucumbervision.tube.shape import TubeShape, with_tips
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

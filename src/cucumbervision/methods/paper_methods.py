@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
+from cucumbervision.methods.result import LengthKind, Measurement, MethodName, Reason
+from cucumbervision.methods.table import GATE_M, Region, TableMethod, box_pixels, or_else
 from cucumbervision.tube.curve import (
     AlignedCloud,
     align_near,
@@ -15,8 +17,6 @@ from cucumbervision.tube.curve import (
     polyline_length,
 )
 from cucumbervision.tube.pixels import valid_median
-from cucumbervision.methods.methods import GATE_M, Region, TableMethod, box_pixels, or_else
-from cucumbervision.methods.result import LengthKind, Measurement, MethodName, Reason
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict, Field, PlainSerializer, PlainValidator, TypeAdapter, WithJsonSchema
 
 from cucumbervision.capture.frames import valid_depth
-from cucumbervision.tube.curve import arc_positions, points_along
-from cucumbervision.tube.tube_fit import END_SHARE
 from cucumbervision.methods.flags import Flag
 from cucumbervision.methods.intervals import SCALE_SD
+from cucumbervision.tube.curve import arc_positions, points_along
+from cucumbervision.tube.fit import END_SHARE
 
 if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture

@@ -16,13 +16,6 @@ from cucumbervision.fruit.masks import mask_pixels, mask_window
 from cucumbervision.methods.depth_doubts import depth_doubts
 from cucumbervision.methods.flags import DOUBTFUL_END, Flag
 from cucumbervision.methods.intervals import mask_features, with_interval
-from cucumbervision.methods.methods import (
-    AVAILABLE,
-    Region,
-    TableMethod,
-    box_pixels,
-    run_methods,
-)
 from cucumbervision.methods.paper_methods import MIN_VISIBILITY, SPLINE_POINTS
 from cucumbervision.methods.pose import CUT_BEYOND_M, fruit_pose, stem_first
 from cucumbervision.methods.result import (
@@ -34,6 +27,13 @@ from cucumbervision.methods.result import (
     MethodName,
     Selector,
     calibration_key,
+)
+from cucumbervision.methods.table import (
+    AVAILABLE,
+    Region,
+    TableMethod,
+    box_pixels,
+    run_methods,
 )
 from cucumbervision.threads import OneThread
 

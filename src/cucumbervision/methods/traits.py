@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.errors import PluginError
+from cucumbervision.methods.flags import Flag
+from cucumbervision.plugins import Plugin
 from cucumbervision.tube.curve import arc_positions
-from cucumbervision.tube.tube import (
+from cucumbervision.tube.shape import (
     axis_path,
     bending_direction,
     inner_arc_height,
     profile,
     thread_length,
 )
-from cucumbervision.methods.flags import Flag
-from cucumbervision.plugins import Plugin
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable

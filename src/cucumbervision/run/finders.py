@@ -23,9 +23,9 @@ from cucumbervision.fruit.masks import box_of_mask, is_box_mask, without_flower
 from cucumbervision.methods.m6 import fits_well, measure_m6
 from cucumbervision.methods.result import Selector
 from cucumbervision.networks.keypoint_axis import place_keypoints
+from cucumbervision.plugins import Kind, Plugin, plugins
 from cucumbervision.run.options import INSTANCE_SOURCES, MeasureOptions
 from cucumbervision.run.plugged import PlugIns
-from cucumbervision.plugins import Kind, Plugin, plugins
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.frames import Capture
     from cucumbervision.methods.result import Measurement
-    from cucumbervision.networks.networks import NetworkLoader
+    from cucumbervision.networks.loaded import NetworkLoader
     from cucumbervision.networks.registry import Registry
     from cucumbervision.networks.yolo import YoloDetector
     from cucumbervision.protocols import Detector
@@ -164,7 +164,7 @@ def make_finder(
     PluginError
         If a detector or segmenter of another package cannot be loaded.
     """
-    from cucumbervision.networks.networks import NetworkLoader
+    from cucumbervision.networks.loaded import NetworkLoader
 
     plug_ins = plug_ins or PlugIns()
     detector = _plugged("detectors", options.instances, plug_ins.detector)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from cucumbervision.calibration.calibration_file import calibrated_capture, calibrated_fruit
+from cucumbervision.accuracy.calibration_file import calibrated_capture, calibrated_fruit
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.errors import CaptureError, DiskFullError, InternalError, named_error
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
     from pathlib import Path
 
-    from cucumbervision.calibration.calibration_file import SiteCalibration
+    from cucumbervision.accuracy.calibration_file import SiteCalibration
     from cucumbervision.errors import CucumberVisionError
     from cucumbervision.fruit.instance import Instance
     from cucumbervision.methods.result import Measurement
@@ -255,7 +255,7 @@ class Measurer:
         """
         if self.options.calibration is None:
             return None
-        from cucumbervision.calibration.calibration_file import read_site_calibration
+        from cucumbervision.accuracy.calibration_file import read_site_calibration
 
         return read_site_calibration(self.options.calibration)
 

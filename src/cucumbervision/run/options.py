@@ -9,8 +9,8 @@ from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from cucumbervision.crop.profiles import PACK_PROFILE, CropProfile, load_profile
 from cucumbervision.capture.source import ReadOptions
+from cucumbervision.crop.profiles import PACK_PROFILE, CropProfile, load_profile
 from cucumbervision.errors import CucumberVisionError, ModelError, ModelHashError, wrap_os_errors
 from cucumbervision.files import json_value, read_json
 from cucumbervision.methods.pose import CUT_BEYOND_M

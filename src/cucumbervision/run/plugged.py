@@ -7,14 +7,14 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, get_args
 
 from cucumbervision.errors import PluginError
-from cucumbervision.methods.methods import TableMethod, plugin_of
-from cucumbervision.run.fields import fields_with, trait_field
+from cucumbervision.methods.table import TableMethod, plugin_of
 from cucumbervision.plugins import Kind, Plugin, faults, plugins
+from cucumbervision.run.fields import fields_with, trait_field
 
 if TYPE_CHECKING:
+    from cucumbervision.protocols import Detector, Method, Segmenter, Trait
     from cucumbervision.run.fields import Field
     from cucumbervision.run.options import MeasureOptions
-    from cucumbervision.protocols import Detector, Method, Segmenter, Trait
 
 
 @dataclass(frozen=True, eq=False)

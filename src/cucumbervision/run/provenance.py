@@ -13,19 +13,19 @@ from typing import TYPE_CHECKING, Any
 import cucumbervision
 from cucumbervision.about import installed_versions, software
 from cucumbervision.errors import CucumberVisionError, ModelError
-from cucumbervision.tube.tube_kernel import kernel_name
 from cucumbervision.networks.registry import file_sha256
-from cucumbervision.run.options import INSTANCE_SOURCES
 from cucumbervision.plugins import plugins
+from cucumbervision.run.options import INSTANCE_SOURCES
+from cucumbervision.tube.compiled import kernel_name
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from datetime import datetime
 
-    from cucumbervision.calibration.calibration_file import SiteCalibration
+    from cucumbervision.accuracy.calibration_file import SiteCalibration
     from cucumbervision.networks.registry import Registry
-    from cucumbervision.run.options import MeasureOptions
     from cucumbervision.plugins import Plugin
+    from cucumbervision.run.options import MeasureOptions
 
 _CODE = frozenset({".py", ".c", ".csv", ".json", ".toml"})
 _NO_LENGTH = frozenset({"accuracy", "cli", "service", "streaming"})  # rooms that decide none

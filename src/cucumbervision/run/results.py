@@ -37,9 +37,9 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.intrinsics import Intrinsics
     from cucumbervision.methods.result import Fruit
+    from cucumbervision.protocols import Detector, Method, Reader, Segmenter, Trait
     from cucumbervision.run.fields import Cell
     from cucumbervision.run.inputs import Opener
-    from cucumbervision.protocols import Detector, Method, Reader, Segmenter, Trait
 
 
 @dataclass(frozen=True, eq=False)

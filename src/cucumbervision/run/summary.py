@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from cucumbervision.errors import Message, joined
 from cucumbervision.methods.flags import Flag, data_doubts, is_length_unknown, is_lower_bound
-from cucumbervision.methods.methods import AVAILABLE
 from cucumbervision.methods.result import Choice
+from cucumbervision.methods.table import AVAILABLE
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping

@@ -32,6 +32,7 @@ from starlette.exceptions import HTTPException
 from cucumbervision._version import __version__
 from cucumbervision.about import software
 from cucumbervision.capture.source import CaptureRef
+from cucumbervision.capture.uploads import Limits, accept_uploads, clean_name
 from cucumbervision.errors import (
     AccessError,
     CucumberVisionError,
@@ -42,7 +43,6 @@ from cucumbervision.errors import (
     UploadError,
     named_error,
 )
-from cucumbervision.intake.uploads import Limits, accept_uploads, clean_name
 from cucumbervision.methods.pose import FruitPose
 from cucumbervision.run.batch import ResultWorker, measure_all, never
 from cucumbervision.run.detect import PictureWorker, read_picture

@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING, Any
 
 from cucumbervision._version import __version__
 from cucumbervision.about import LICENCE, source_offer
-from cucumbervision.crop.grades import grade
 from cucumbervision.capture.source import safe_name
+from cucumbervision.crop.grades import grade
 from cucumbervision.errors import CucumberVisionError, ForecastError
 from cucumbervision.methods.flags import flag_remarks
 from cucumbervision.run.fields import FIELDS, Field, read_fields, utc
-from cucumbervision_greenhouse.forecast.picking import PickKind, pick_list, plan_work
 from cucumbervision_greenhouse.exports.fruit_pictures import fruit_pictures
+from cucumbervision_greenhouse.forecast.picking import PickKind, pick_list, plan_work
 from cucumbervision_greenhouse.rounds.forecasting import date_after, day_0_s, forecast_today
 from cucumbervision_greenhouse.rounds.from_store import read_round
 from cucumbervision_greenhouse.rounds.fruit_table import (

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 from cucumbervision.errors import MissingExtraError, wrap_os_errors
 from cucumbervision.files import write_csv, write_json
 from cucumbervision.run.tables import Workbook, write_parquet
-from cucumbervision_greenhouse.forecast.picking import PickKind
 from cucumbervision_greenhouse.exports import ExportFormat
 from cucumbervision_greenhouse.exports.build import ExportTable
 from cucumbervision_greenhouse.exports.page_words import ENGLISH
+from cucumbervision_greenhouse.forecast.picking import PickKind
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Sequence

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import streamlit as st
 
-from cucumbervision.calibration.site_calibration import calibrate_lengths
+from cucumbervision.accuracy.site_calibration import calibrate_lengths
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision_greenhouse import resources
 from cucumbervision_greenhouse.core_words import words_of
@@ -26,9 +26,9 @@ from cucumbervision_greenhouse.pages.site_calibrations import (
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from cucumbervision.accuracy.calibration_file import SiteCalibration
     from cucumbervision.accuracy.own_truth import Measured
     from cucumbervision.accuracy.truth import Truth
-    from cucumbervision.calibration.calibration_file import SiteCalibration
     from cucumbervision_greenhouse.store.records import Round
 
 _GRID_MM = 1.0, 200.0, 10.0  # between the lines: least, most, usual

@@ -7,9 +7,9 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from cucumbervision.capture.source import safe_name
 from cucumbervision.crop.grades import grade
 from cucumbervision.crop.profiles import CropProfile, profiles, profiles_folder
-from cucumbervision.capture.source import safe_name
 from cucumbervision.errors import Message, ProfileError
 from cucumbervision.files import parse_model
 from cucumbervision.names import checked_name

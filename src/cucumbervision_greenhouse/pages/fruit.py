@@ -9,7 +9,7 @@ import streamlit as st
 
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.fruit.instance import MaskSource
-from cucumbervision.methods.methods import AVAILABLE
+from cucumbervision.methods.table import AVAILABLE
 from cucumbervision_greenhouse import resources, round_caches
 from cucumbervision_greenhouse.core_words import words_of
 from cucumbervision_greenhouse.fruit_pictures import (

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from cucumbervision.accuracy.own_truth import REPORTED, Measured, Reading
 from cucumbervision.accuracy.truth import Line, Truth, parse_number, read_table, read_truth
 from cucumbervision.errors import TruthError
-from cucumbervision.methods.methods import AVAILABLE
+from cucumbervision.methods.table import AVAILABLE
 from cucumbervision_greenhouse.rounds.from_store import read_round
 from cucumbervision_greenhouse.rounds.fruit_table import fruit_table
 from cucumbervision_greenhouse.settings import replace_text

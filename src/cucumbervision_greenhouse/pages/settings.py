@@ -7,7 +7,7 @@ from typing import Any
 
 import streamlit as st
 
-from cucumbervision.calibration.calibration_file import read_site_calibration
+from cucumbervision.accuracy.calibration_file import read_site_calibration
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.methods.result import LengthDefinition, Selector
 from cucumbervision_greenhouse import resources

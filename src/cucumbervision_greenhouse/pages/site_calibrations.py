@@ -8,13 +8,13 @@ from pathlib import Path
 from statistics import fmean
 from typing import TYPE_CHECKING
 
-from cucumbervision.accuracy.own_truth import REPORTED, comparable
-from cucumbervision.calibration.calibration_file import (
+from cucumbervision.accuracy.calibration_file import (
     Form,
     read_site_calibration,
     write_site_calibration,
 )
-from cucumbervision.calibration.site_calibration import calibrate_camera
+from cucumbervision.accuracy.own_truth import REPORTED, comparable
+from cucumbervision.accuracy.site_calibration import calibrate_camera
 from cucumbervision.capture.source import safe_name
 from cucumbervision.errors import CalibrationError, CucumberVisionError, Message
 from cucumbervision.methods.result import MethodName, calibration_key
@@ -27,8 +27,8 @@ from cucumbervision_greenhouse.words import round_day
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from cucumbervision.accuracy.calibration_file import SiteCalibration
     from cucumbervision.accuracy.own_truth import OwnTruth
-    from cucumbervision.calibration.calibration_file import SiteCalibration
     from cucumbervision.capture.frames import Capture
     from cucumbervision.methods.result import LengthDefinition
     from cucumbervision_greenhouse.settings import Units

@@ -10,8 +10,8 @@ import streamlit as st
 
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision_greenhouse import resources, round_caches, tasks
-from cucumbervision_greenhouse.forecast.picking import PickKind, work_of
 from cucumbervision_greenhouse.core_words import words_of
+from cucumbervision_greenhouse.forecast.picking import PickKind, work_of
 from cucumbervision_greenhouse.language import counted, marked, ngettext, plain, sentence
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.pages import page_elements

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from cucumbervision.methods.methods import AVAILABLE
+from cucumbervision.methods.table import AVAILABLE
 from cucumbervision.run.fields import table_row
 from cucumbervision.run.summary import Summary
 from cucumbervision_greenhouse.store.records import Verdict

@@ -34,8 +34,8 @@ from cucumbervision_greenhouse.store.marks import MOVE_ROUND, STOP_EDITS
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from cucumbervision.crop.profiles import CropProfile
     from cucumbervision.capture.frames import Stop
+    from cucumbervision.crop.profiles import CropProfile
     from cucumbervision_greenhouse.rounds.from_store import StoredRow
     from cucumbervision_greenhouse.store.records import Round, StopRecord
     from cucumbervision_greenhouse.store.repository import Store

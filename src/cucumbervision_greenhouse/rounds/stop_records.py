@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision._version import __version__
-from cucumbervision.calibration.calibration_file import SiteCalibration
+from cucumbervision.accuracy.calibration_file import SiteCalibration
 from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.frames import Capture, Doubt, Stop
 from cucumbervision.capture.readers.native import MANIFEST
 from cucumbervision.errors import InstancesError, Message
 from cucumbervision.files import json_value
-from cucumbervision.tube.curve import arc_positions
 from cucumbervision.fruit.instance import Instance, MaskSource
 from cucumbervision.fruit.mask_codes import decode_rle, encode_rle
 from cucumbervision.run.fields import stored_row
+from cucumbervision.tube.curve import arc_positions
 from cucumbervision_greenhouse.store.images import DEPTH_UNIT_M
 from cucumbervision_greenhouse.store.records import (
     ArtifactRecord,

@@ -44,8 +44,8 @@ def evaluate_models(
     """Evaluate the networks on labelled pictures: precision, recall, keypoints, masks, lengths."""
     from cucumbervision.networks.confidence import parse_input_sizes
     from cucumbervision_lab.cli.screen import part_bars, show, show_tables
-    from cucumbervision_lab.detection.report import detection_tables, write_detection_report
-    from cucumbervision_lab.detection.run import evaluate_detection
+    from cucumbervision_lab.evaluate.report import detection_tables, write_detection_report
+    from cucumbervision_lab.evaluate.scenes import evaluate_detection
 
     with part_bars() as report:
         result = evaluate_detection(
@@ -81,11 +81,11 @@ def evaluate_photos(
     """Evaluate the networks on audited real photos: recall and precision by test."""
     from cucumbervision.networks.confidence import parse_input_sizes
     from cucumbervision_lab.cli.screen import show, show_tables, ticking
-    from cucumbervision_lab.detection.photos import audited_photos
-    from cucumbervision_lab.detection.photos import evaluate_photos as evaluate
-    from cucumbervision_lab.detection.picture_result import open_networks
-    from cucumbervision_lab.detection.report import photo_tables, write_photo_report
-    from cucumbervision_lab.detection.run import chosen_networks
+    from cucumbervision_lab.evaluate.photos import audited_photos
+    from cucumbervision_lab.evaluate.photos import evaluate_photos as evaluate
+    from cucumbervision_lab.evaluate.picture_result import open_networks
+    from cucumbervision_lab.evaluate.report import photo_tables, write_photo_report
+    from cucumbervision_lab.evaluate.scenes import chosen_networks
 
     photos, missing = audited_photos(folder, split)
     networks = open_networks(
@@ -130,15 +130,15 @@ def benchmark(
     Includes the paper's 48 captures and five validation fruit with exact, disturbed and perceived
     masks, and a stress set: tilted, bent, occluded, distant, wet and sunlit fruit.
     """
-    from cucumbervision_lab.benchmark.measure_case import require_extra
+    from cucumbervision_lab.evaluate.measure_case import require_extra
 
     require_extra()  # before an hour of measuring
-    from cucumbervision_lab.benchmark import run
-    from cucumbervision_lab.benchmark.report import benchmark_tables, write_tables
     from cucumbervision_lab.cli.screen import part_bars, show, show_tables
+    from cucumbervision_lab.evaluate import benchmark as run
+    from cucumbervision_lab.evaluate.benchmark_report import benchmark_tables, write_tables
 
     if learn_intervals is not None:
-        from cucumbervision_lab.detection.run import learn_intervals as learn
+        from cucumbervision_lab.evaluate.scenes import learn_intervals as learn
 
         if learn_set is None:
             raise typer.BadParameter("--learn-intervals requires --learn-set, a set from 'synth'")

@@ -73,7 +73,7 @@ def network(
     """Train a detector by Ultralytics: boxes with masks, or with keypoints."""
     from cucumbervision_lab.cli.screen import show
     from cucumbervision_lab.train.data import open_sets
-    from cucumbervision_lab.train.train import NETWORK, TrainOptions, train
+    from cucumbervision_lab.train.network import NETWORK, TrainOptions, train
 
     # A training that goes on has its data in RUN.
     read = [] if (out / NETWORK).is_file() else open_sets(sets)
@@ -112,7 +112,7 @@ def house(
     """
     from cucumbervision_lab.cli.screen import show
     from cucumbervision_lab.train.house import train_house
-    from cucumbervision_lab.train.train import TrainOptions
+    from cucumbervision_lab.train.network import TrainOptions
 
     judged = train_house(
         data,
@@ -276,7 +276,7 @@ def average(
 ) -> None:
     """Average two checkpoints, which reduces forgetting after fine-tuning."""
     from cucumbervision_lab.cli.screen import show
-    from cucumbervision_lab.train.train import average_networks
+    from cucumbervision_lab.train.network import average_networks
 
     show(average_networks(first, second, out, share))
 

@@ -38,7 +38,7 @@ from cucumbervision_lab.data.yolo import write_yolo
 if TYPE_CHECKING:
     from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 
-    from cucumbervision.networks.networks import NetworkSegmenter
+    from cucumbervision.networks.loaded import NetworkSegmenter
     from cucumbervision_greenhouse.store.records import (
         CaptureRecord,
         FruitRow,

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.tube.curve import points_along
 from cucumbervision.fruit.masks import mask_window
 from cucumbervision.networks.keypoint_axis import KEYPOINT_SHARES, axis_line
+from cucumbervision.tube.curve import points_along
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

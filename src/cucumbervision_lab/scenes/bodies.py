@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cucumbervision.tube.curve import polyline_length
-from cucumbervision.tube.tube import thread_length
+from cucumbervision.tube.shape import thread_length
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray

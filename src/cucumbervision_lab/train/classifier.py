@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from cucumbervision.networks.registry import file_sha256
 from cucumbervision_lab.train.export import MAKERS, ModelCard, halve_storage, write_card
-from cucumbervision_lab.train.train import allowed_threads, import_ultralytics, load_yolo
+from cucumbervision_lab.train.network import allowed_threads, import_ultralytics, load_yolo
 
 CHANNELS = 128
 """Channels of `first_layers`."""

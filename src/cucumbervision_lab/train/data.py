@@ -20,7 +20,7 @@ from cucumbervision_lab.data.derive import add_pseudo_masks
 from cucumbervision_lab.data.labels import KEYPOINT_ORDER, DataSet, Label, LabelledPicture
 from cucumbervision_lab.data.polygons import DIRECTIONS, keypoints_of_mask
 from cucumbervision_lab.data.yolo import write_yolo
-from cucumbervision_lab.detection.photos import audited
+from cucumbervision_lab.evaluate.photos import audited
 from cucumbervision_lab.scenes.colors import d435_colors
 
 TASKS = {"seg": "segment", "pose": "pose"}
@@ -183,7 +183,7 @@ def photo_set(folder: Path, out: Path, *, as_d435: bool = False) -> DataSet:
     DataSetError, CaptureError
         If there is no such photo, or one cannot be read.
     """
-    from cucumbervision.networks.networks import open_segmenter
+    from cucumbervision.networks.loaded import open_segmenter
 
     audit = audited(folder, outlines=True)
     pictures = tuple(

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from cucumbervision.capture.frames import Capture, valid_depth
 from cucumbervision.capture.pictures import read_color
 from cucumbervision.errors import TrainingError
-from cucumbervision.tube.curve import arc_positions, points_along
 from cucumbervision.fruit.crops import end_crop
+from cucumbervision.tube.curve import arc_positions, points_along
 from cucumbervision_lab.data.splits import is_held_out
-from cucumbervision_lab.detection.pictures import capture_of
+from cucumbervision_lab.evaluate.pictures import capture_of
 from cucumbervision_lab.scenes.covers import FruitPicture, cover_end
 from cucumbervision_lab.train.measured_ends import (
     HELD_OUT,

@@ -21,7 +21,7 @@ from cucumbervision.methods.intervals import (
     shipped_interval_models,
 )
 from cucumbervision.networks.looks import ERROR_SCALE, STATES, EndLooker, looked_at
-from cucumbervision_lab.benchmark.run import (
+from cucumbervision_lab.evaluate.benchmark import (
     TUBE_FEATURES,
     fit_interval_model,
     write_interval_models,

@@ -19,11 +19,11 @@ from cucumbervision.files import write_bytes
 from cucumbervision.fruit.crops import HEIGHT_PX, PLANES, WIDTH_PX, fruit_crop
 from cucumbervision.fruit.masks import box_ious, mask_iou
 from cucumbervision.networks.confidence import CANDIDATE_CONFIDENCE
-from cucumbervision.networks.networks import NetworkLoader
+from cucumbervision.networks.loaded import NetworkLoader
 from cucumbervision_lab.data.labels import KEYPOINT_ORDER, ticked
 from cucumbervision_lab.data.splits import is_held_out
-from cucumbervision_lab.detection.pictures import capture_of, frame_of
-from cucumbervision_lab.detection.run import true_positives
+from cucumbervision_lab.evaluate.pictures import capture_of, frame_of
+from cucumbervision_lab.evaluate.scenes import true_positives
 
 if TYPE_CHECKING:
     from cucumbervision.fruit.crops import FruitCrop

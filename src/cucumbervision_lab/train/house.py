@@ -17,16 +17,16 @@ from cucumbervision.errors import TrainingError
 from cucumbervision.networks.confidence import DEFAULT_CONFIDENCE
 from cucumbervision.networks.registry import JUDGEMENT, file_sha256, load_registry
 from cucumbervision_lab.data.coco import ANNOTATIONS, read_coco
-from cucumbervision_lab.detection.outcomes import Score, detection_rows, fruit_rows, overall
-from cucumbervision_lab.detection.photos import audited_photos, evaluate_photos
-from cucumbervision_lab.detection.picture_result import detect_set, open_networks
-from cucumbervision_lab.detection.pictures import spread
-from cucumbervision_lab.detection.run import chosen_networks
+from cucumbervision_lab.evaluate.outcomes import Score, detection_rows, fruit_rows, overall
+from cucumbervision_lab.evaluate.photos import audited_photos, evaluate_photos
+from cucumbervision_lab.evaluate.picture_result import detect_set, open_networks
+from cucumbervision_lab.evaluate.pictures import spread
+from cucumbervision_lab.evaluate.scenes import chosen_networks
 from cucumbervision_lab.scenes.frame import FrameOptions
 from cucumbervision_lab.scenes.generate import SynthOptions, generate
 from cucumbervision_lab.train.data import photo_set
 from cucumbervision_lab.train.export import export_trained, write_card
-from cucumbervision_lab.train.train import TrainOptions, train
+from cucumbervision_lab.train.network import TrainOptions, train
 
 if TYPE_CHECKING:
     from cucumbervision_lab.data.labels import DataSet

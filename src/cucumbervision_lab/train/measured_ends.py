@@ -17,7 +17,6 @@ from scipy.spatial import cKDTree
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.pictures import read_color
 from cucumbervision.errors import DataSetError, wrap_reader_errors
-from cucumbervision.tube.curve import arc_positions, points_along
 from cucumbervision.fruit.instance import Instance, MaskSource
 from cucumbervision.fruit.mask_codes import Rle
 from cucumbervision.fruit.masks import box_ious, distances_inside, mask_pixels
@@ -27,9 +26,10 @@ from cucumbervision.methods.selector import measure_fruit
 from cucumbervision.networks.keypoint_axis import axis_line
 from cucumbervision.run.measurer import Measurer
 from cucumbervision.run.options import MeasureOptions
+from cucumbervision.tube.curve import arc_positions, points_along
 from cucumbervision_lab.data.labels import ticked
 from cucumbervision_lab.data.splits import is_held_out
-from cucumbervision_lab.detection.pictures import capture_of
+from cucumbervision_lab.evaluate.pictures import capture_of
 
 if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture

@@ -18,8 +18,8 @@ import pytest
 from tests.greenhouse.exports.conftest import CONFIG, EVIL, MODEL, SITE, WALK
 from typer.testing import CliRunner
 
-from cucumbervision.crop.profiles import load_profile
 from cucumbervision.cli.app import app
+from cucumbervision.crop.profiles import load_profile
 from cucumbervision.errors import CucumberVisionError, DiskFullError
 from cucumbervision.files import defused
 from cucumbervision.run.fields import Cell, Column

@@ -17,7 +17,7 @@ from tests.greenhouse.pages.app_pages import (
     wait_for_jobs,
 )
 
-from cucumbervision.calibration.calibration_file import read_site_calibration
+from cucumbervision.accuracy.calibration_file import read_site_calibration
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
 from cucumbervision.methods.result import LengthDefinition

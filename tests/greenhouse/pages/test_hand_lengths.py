@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from cucumbervision.accuracy.own_truth import evaluate_lengths
+from cucumbervision.accuracy.site_calibration import calibrate_lengths
 from cucumbervision.accuracy.truth import read_truth
-from cucumbervision.calibration.site_calibration import calibrate_lengths
 from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import TruthError
 from cucumbervision.methods.result import LengthDefinition

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 from tests.calibration.test_grid import grid_capture
 
+from cucumbervision.accuracy.calibration_file import SiteCalibration, read_site_calibration
 from cucumbervision.accuracy.own_truth import evaluate_lengths
+from cucumbervision.accuracy.site_calibration import calibrate_camera, calibrate_lengths
 from cucumbervision.accuracy.truth import read_truth
-from cucumbervision.calibration.calibration_file import SiteCalibration, read_site_calibration
-from cucumbervision.calibration.site_calibration import calibrate_camera, calibrate_lengths
 from cucumbervision.capture.readers.native import write_native
 from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import CalibrationError, NameRefusedError

@@ -15,7 +15,7 @@ from cucumbervision_lab.data.checks import check_dataset
 from cucumbervision_lab.data.labels import SPLITS, DataSet, Label, LabelledPicture
 from cucumbervision_lab.data.splits import find_scenes, scenes_by_name, split_by_scene
 from cucumbervision_lab.data.yolo import read_yolo
-from cucumbervision_lab.detection.photos import audited
+from cucumbervision_lab.evaluate.photos import audited
 
 MakeSet = Callable[..., DataSet]
 CLASSES = ("cucumber", "zucchini", "banana", "eggplant", "carrot")

@@ -24,7 +24,7 @@ from cucumbervision.networks.resize import fit
 from cucumbervision.networks.runtime import open_network
 from cucumbervision.networks.yolo import YoloDetector
 from cucumbervision_lab.train.export import export_yolo
-from cucumbervision_lab.train.train import import_ultralytics, load_yolo
+from cucumbervision_lab.train.network import import_ultralytics, load_yolo
 
 pytestmark = [pytest.mark.train, pytest.mark.usefixtures("_suppression")]
 

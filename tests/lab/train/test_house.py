@@ -13,8 +13,8 @@ from cucumbervision.errors import ModelError, TrainingError
 from cucumbervision.networks.registry import load_registry, use_network
 from cucumbervision_lab.data.coco import read_coco, write_coco
 from cucumbervision_lab.data.labels import DataSet, Label, LabelledPicture
-from cucumbervision_lab.detection.outcomes import detection_rows, fruit_rows, overall
-from cucumbervision_lab.detection.pictures import Frame, TrueFruit
+from cucumbervision_lab.evaluate.outcomes import detection_rows, fruit_rows, overall
+from cucumbervision_lab.evaluate.pictures import Frame, TrueFruit
 from cucumbervision_lab.train.house import (
     DetectorScore,
     held_out_set,
@@ -22,7 +22,7 @@ from cucumbervision_lab.train.house import (
     train_house,
     verdict,
 )
-from cucumbervision_lab.train.train import TrainOptions
+from cucumbervision_lab.train.network import TrainOptions
 
 CHECKPOINT = Path(__file__).parents[3] / "checkpoints" / "cucumber-seg.pt"
 HOUSE, DRAWN = (

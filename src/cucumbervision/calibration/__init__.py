@@ -1,1 +1,0 @@
-"""Site calibration: fitting corrections, and the calibration file."""

@@ -1,1 +1,0 @@
-"""Check files from untrusted senders before they are read."""

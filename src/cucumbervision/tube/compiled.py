@@ -1,0 +1,272 @@
+"""Call the compiled functions of `kernel/` (C) with what NumPy's of the same names take.
+
+The library is built when the package is installed, where there is a C compiler. Without it, and
+with `CUCUMBERVISION_KERNEL=numpy` in the environment, NumPy computes; so it does where something is
+odd: numbers that are not finite, arrays that do not fit together, equations without a solution.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import os
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cucumbervision.tube.shape import BALLS, BEND_SEGMENTS, WIDTH_SEGMENTS, bases
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from cucumbervision.tube.evidence import Evidence
+    from cucumbervision.tube.shape import TubeShape
+
+FOLDER = Path(__file__).parent / "kernel"
+FINE = 1024  # positions along the curve to which a nearest ball is rounded
+_BODY = 3 * (BEND_SEGMENTS + 3) + (WIDTH_SEGMENTS + 3) + 3
+_TILE, _ROWS = 4, 48  # of kernel.h
+_MOST_WAVES = 1000
+
+
+def kernel_name() -> str:
+    """Return which kernel computes M6: `compiled` or `numpy`.
+
+    Examples
+    --------
+    >>> kernel_name() in ("compiled", "numpy")
+    True
+    """
+    return "numpy" if library() is None else "compiled"
+
+
+def _is_whole(path: Path) -> bool:
+    """Return whether a library is as it was compiled, from these sources, by the hash beside it.
+
+    Loading a damaged library may end the process, so it is compared before it is loaded.
+    """
+    content = b"".join(part.read_bytes() for part in (path, *sorted(FOLDER.glob("*.[ch]"))))
+    return hashlib.sha256(content).hexdigest() == path.with_suffix(".sha256").read_text("ascii")
+
+
+@cache
+def library() -> Any:
+    """Load the compiled kernel; None without one, and where NumPy is asked for."""
+    if os.environ.get("CUCUMBERVISION_KERNEL", "").strip().lower() == "numpy":
+        return None
+    path = FOLDER / "kernel.so"
+    try:
+        if not _is_whole(path):
+            return None
+        loaded = ctypes.CDLL(str(path))
+    except (OSError, ValueError):
+        return None
+    loaded.misfit.restype = loaded.scatter.restype = ctypes.c_double
+    return loaded
+
+
+class _Struct(ctypes.Structure):
+    """A struct of kernel.h. It keeps the arrays whose addresses it holds."""
+
+    def __init__(self, *values: Any) -> None:
+        self.arrays = [value for value in values if isinstance(value, np.ndarray)]
+        super().__init__(*(v.ctypes.data if isinstance(v, np.ndarray) else v for v in values))
+
+
+def _fields(kind: Any, names: str) -> list[tuple[str, Any]]:
+    return [(name, kind) for name in names.split()]
+
+
+class _Bases(_Struct):
+    _fields_ = _fields(ctypes.c_void_p, "bend_balls width_balls bend_fine width_fine")
+
+
+class _Shape(_Struct):
+    _fields_ = _fields(ctypes.c_void_p, "bend_m width_m")
+
+
+class _Evidence(_Struct):
+    _fields_ = [
+        *_fields(ctypes.c_int64, "points rays waves"),
+        *_fields(ctypes.c_void_p, "points_m directions points_far_m points_sd_m rays_m waves_m"),
+        *_fields(ctypes.c_double, "rays_sd_rad points_share rays_share slip_m far_m"),
+    ]
+
+
+class _Readings(_Struct):
+    _fields_ = _fields(ctypes.c_void_p, "gap_m away centres_m facing sd_m scratch index")
+
+
+class _Equations(_Struct):
+    _fields_ = [
+        *_fields(ctypes.c_int64, "size stride"),
+        *_fields(ctypes.c_void_p, "normal target rows"),
+    ]
+
+
+@dataclass(frozen=True, eq=False)
+class Contacts:
+    """Where readings touch a body, as the kernel writes it: `Gaps` with an index for the bases.
+
+    Parameters
+    ----------
+    gap_m, facing, sd_m : ndarray of float64, shape (N,)
+        Gaps, and of depth points the cosine of the ray with the normal; standard deviations.
+    away, centres_m : ndarray of float64, shape (N, 3)
+        As in `Gaps`.
+    index : ndarray of int64, shape (N,)
+        The position along the curve, times `FINE`.
+    """
+
+    gap_m: NDArray[np.float64]
+    away: NDArray[np.float64]
+    centres_m: NDArray[np.float64]
+    facing: NDArray[np.float64]
+    sd_m: NDArray[np.float64]
+    index: NDArray[np.int64]
+
+    @classmethod
+    def empty(cls, count: int) -> Contacts:
+        """Return room for the contacts of so many readings."""
+        gap_m, facing, sd_m = np.empty((3, count))
+        away, centres_m = np.empty((2, count, 3))
+        return cls(gap_m, away, centres_m, facing, sd_m, np.empty(count, np.int64))
+
+    @property
+    def struct(self) -> _Readings:
+        """The struct that the kernel writes to."""
+        found = (self.gap_m, self.away, self.centres_m, self.facing, self.sd_m)
+        return _Readings(*found, np.empty(len(self.gap_m)), self.index)
+
+
+@cache
+def _bases() -> _Bases:
+    return _Bases(*bases(BALLS), *bases(FINE + 1))
+
+
+def _finite(*arrays: NDArray[Any]) -> bool:
+    return all(np.isfinite(array).all() for array in arrays)
+
+
+def _numbers(array: NDArray[Any], *shape: int) -> NDArray[np.float64]:
+    # As the kernel reads it; ValueError if it has another shape.
+    return np.ascontiguousarray(array, np.float64).reshape(shape)
+
+
+def _shape(shape: TubeShape) -> _Shape:
+    # A copy: the fit moves it.
+    bend = np.array(shape.bend_m, np.float64).reshape(BEND_SEGMENTS + 3, 3)
+    return _Shape(bend, np.array(shape.width_m, np.float64).reshape(WIDTH_SEGMENTS + 3))
+
+
+def gaps(shape: TubeShape, readings: NDArray[np.float64], *, rays: bool) -> Contacts | None:
+    """Measure as `tube_evidence.gaps`; None where NumPy must."""
+    if library() is None or not _finite(readings, shape.bend_m, shape.width_m):
+        return None
+    found = Contacts.empty(len(readings))
+    given = _numbers(readings, len(readings), 3)
+    call("gaps", _bases(), _shape(shape), len(given), given, rays, found.struct)
+    return found
+
+
+def depth_gaps(
+    shape: TubeShape, rays: NDArray[np.float64], far_m: NDArray[np.float64]
+) -> Contacts | None:
+    """Measure as `tube_evidence.depth_gaps`; None where NumPy must."""
+    if library() is None or not _finite(rays, far_m, shape.bend_m, shape.width_m):
+        return None
+    found, count = Contacts.empty(len(rays)), len(rays)
+    given, far = _numbers(rays, count, 3), _numbers(far_m, count)
+    call("depth_gaps", _bases(), _shape(shape), count, given, far, found.struct)
+    return found
+
+
+def call(name: str, *values: Any) -> Any:
+    """Call a function of kernel.h: structs and arrays by their addresses, then int64 and double."""
+    return getattr(library(), name)(*(_argument(value) for value in values))
+
+
+def _argument(value: Any) -> Any:
+    if isinstance(value, ctypes.Structure):
+        return ctypes.byref(value)
+    if isinstance(value, np.ndarray):
+        return ctypes.c_void_p(value.ctypes.data)
+    return ctypes.c_double(value) if isinstance(value, float) else ctypes.c_int64(value)
+
+
+class Fit:
+    """One fit's arrays, and the kernel's functions on them.
+
+    Parameters
+    ----------
+    evidence : Evidence
+        What was seen.
+    guess : TubeShape
+        The body, which the kernel moves.
+    """
+
+    def __init__(self, evidence: Evidence, guess: TubeShape) -> None:
+        count, waves = len(evidence.points_m), evidence.waves
+        self.bases, self.shape, self.seen = _bases(), _shape(guess), _evidence(evidence)
+        self.bend_m, self.width_m = self.shape.arrays
+        self.points, self.rays = Contacts.empty(count), Contacts.empty(len(evidence.rays))
+        self.readings = self.points.struct, self.rays.struct
+        self.nuisance = np.zeros(3 + waves)
+        stride = _BODY + _padded(waves) + 1
+        self.normal, self.target = np.zeros((stride, stride)), np.zeros(stride)
+        self.sums = _Equations(
+            _BODY + waves, stride, self.normal, self.target, np.empty(_ROWS * stride)
+        )
+        self.covariance = np.empty((_BODY, _BODY))
+        self.ends_seen = np.ones(2, np.int64)
+        self.misfit = np.zeros(1)
+
+    def run(self) -> bool:
+        """Fit as `tube_fit.fit_shape`; False without a solution."""
+        results = (self.covariance, self.ends_seen, self.misfit)
+        moved = (self.shape, self.nuisance, *self.readings, self.sums)
+        return bool(call("fit_shape", self.bases, self.seen, *moved, *results))
+
+
+def _padded(waves: int) -> int:
+    return _TILE * (-(-waves // _TILE))
+
+
+def _evidence(evidence: Evidence) -> _Evidence:
+    count, rays, waves = len(evidence.points_m), len(evidence.rays), evidence.waves
+    waves_m = np.zeros((count, _padded(waves)))
+    if evidence.waves_m is not None:
+        waves_m[:, :waves] = _numbers(evidence.waves_m, count, waves)
+    return _Evidence(
+        count,
+        rays,
+        waves,
+        _numbers(evidence.points_m, count, 3),
+        _numbers(evidence.directions, count, 3),
+        _numbers(evidence.points_far_m, count),
+        _numbers(evidence.points_sd_m, count),
+        _numbers(evidence.rays, rays, 3),
+        waves_m,
+        float(evidence.rays_sd_rad),
+        float(evidence.points_share),
+        float(evidence.rays_share),
+        float(evidence.pixel_rad * evidence.far_m),
+        float(evidence.far_m),
+    )
+
+
+def fitted(evidence: Evidence, guess: TubeShape) -> Fit | None:
+    """Fit as `tube_fit.fit_shape`; None where NumPy must."""
+    if library() is None or evidence.waves > _MOST_WAVES or not len(evidence.points_m):
+        return None
+    numbers = [getattr(evidence, name) for name in ("points_m", "points_sd_m", "rays")]
+    if evidence.waves_m is not None:
+        numbers.append(evidence.waves_m)
+    scalars = (evidence.rays_sd_rad, evidence.pixel_rad, evidence.points_share)
+    if not _finite(*numbers, guess.bend_m, guess.width_m, np.array(scalars)):
+        return None
+    fit = Fit(evidence, guess)
+    return fit if fit.run() else None

@@ -1,0 +1,352 @@
+"""Fit a tube to what was seen, with the priors of its shape and of the measurement errors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cucumbervision.tube import compiled as tube_kernel
+from cucumbervision.tube.evidence import (
+    BODY,
+    SHAPE,
+    SLIPS,
+    Evidence,
+    ends_seen,
+    gaps_of,
+    normal_equations,
+    point_readings,
+    ray_readings,
+)
+from cucumbervision.tube.pixels import median_of
+from cucumbervision.tube.shape import BALLS, BEND_SEGMENTS, TubeShape, bases
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from cucumbervision.tube.evidence import Evidence, Gaps
+
+
+# In shares of the length L and the radius r.
+_TWIST_SD = 1.0  # the curvature's change k' over the length: k' L^2
+_BEND_SD, _BEND_CHANGE_SD = 8.0, 100.0  # curvature k, 1/m, and its change along the fruit, 1/m^2
+_TILT_SD = 0.6  # the far end beyond the near one, along the view
+_SPEED_SD = 0.02  # a control point's distance to the next, from one to the next
+_WIDTH_SD = 0.05  # the radius' second difference; with heavy tails, so that shoulders may stand
+_WIDTH_TAIL = 1.0
+# How far, in radii, an end may be from where it was guessed: one that the outline shows (where
+# this must not matter), and one that a leaf or the picture's edge hides.
+_ANCHOR_SD, _HIDDEN_ANCHOR_SD = 1.5, 0.15
+# Colour and depth are registered to about a pixel; masks are drawn too wide or too narrow. More
+# room for the latter would win on masks 3 px too wide, but a real sensor's depth does not know a
+# body's roundness well enough: the length of rigid bodies then varies between captures.
+_SLIP_SD_PX = (1.0, 1.0, 0.1)
+
+
+def end_hold(visible: tuple[bool, bool]) -> NDArray[np.float64]:
+    """Return how far each end may be from where it was guessed, radii, shape (2,)."""
+    return np.where(visible, _ANCHOR_SD, _HIDDEN_ANCHOR_SD)
+
+
+def add_shape_prior(
+    normal: NDArray[np.float64],
+    target: NDArray[np.float64],
+    shape: TubeShape,
+    anchors_m: NDArray[np.float64],
+    anchors_sd: NDArray[np.float64],
+) -> None:
+    """Add to normal equations, in place, how a fruit bends, tilts and grows thick.
+
+    Its bending changes slowly along it and is not strong, its control points keep their
+    distances, it rather lies across the view than along it, and its radius changes smoothly.
+
+    Parameters
+    ----------
+    normal : ndarray of float64, shape (K, K)
+        1/m²; the first `SHAPE` unknowns are changed.
+    target : ndarray of float64, shape (K,)
+        1/m.
+    shape : TubeShape
+        The present body, camera coordinates.
+    anchors_m : ndarray of float64, shape (2, 3)
+        Where the ends were guessed.
+    anchors_sd : ndarray of float64, shape (2,)
+        How far from there they may be, radii (`end_hold`).
+    """
+    bend, width = shape.bend_m, shape.width_m
+    count, split = len(bend), bend.size
+    steps = bend[1:] - bend[:-1]
+    step = float(np.sqrt(np.einsum("ij,ij->i", steps, steps)).mean())
+    radius = max(median_of(width), 0.002)
+    second, smooth, twist = _differences(count)
+    twist_sd = min(_TWIST_SD * step / BEND_SEGMENTS**2, _BEND_CHANGE_SD * step**3)
+    ends = bases(2)[0]
+    hold = ends / (anchors_sd * radius)[:, None]
+    # For each coordinate alike.
+    same = twist / twist_sd**2 + smooth / (_BEND_SD * step**2) ** 2 + hold.T @ hold
+    # Control points keep their distances: nothing else tells where along the curve they sit.
+    tangent = bend[2:] - bend[:-2]
+    tangent /= np.maximum(np.sqrt(np.einsum("ij,ij->i", tangent, tangent)), 1e-9)[:, None]
+    even = np.empty((count - 1, split))
+    by_axis = even.reshape(count - 1, count, 3)
+    np.multiply(second[:, :, None], tangent[:, None, :] / (_SPEED_SD * step), out=by_axis[:-1])
+    # Where depth hardly tells, a fruit rather lies across the view than along it.
+    middle = bend.mean(axis=0)
+    middle /= np.sqrt(middle @ middle) * _TILT_SD * step * BEND_SEGMENTS
+    np.multiply((ends[1] - ends[0])[:, None], middle, out=by_axis[-1])
+    normal[:split, :split] += even.T @ even
+    for axis in range(3):
+        normal[axis:split:3, axis:split:3] += same
+    pull = same @ bend - hold.T @ (anchors_m / (anchors_sd * radius)[:, None])
+    target[:split] -= pull.ravel() + even.T @ (even @ bend.ravel())
+    rough = _differences(len(width))[0] / (_WIDTH_SD * radius)
+    rough = rough / np.sqrt(1 + (rough @ width / _WIDTH_TAIL) ** 2)[:, None]
+    widths = slice(split, split + len(width))
+    normal[widths, widths] += rough.T @ rough
+    target[widths] -= rough.T @ (rough @ width)
+
+
+@lru_cache(maxsize=4)
+def _differences(
+    count: int,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    # The second differences' matrix; its square, and the third differences'.
+    second, third = (np.diff(np.eye(count), order, axis=0) for order in (2, 3))
+    return second, second.T @ second, third.T @ third
+
+
+def add_nuisance_prior(
+    normal: NDArray[np.float64],
+    target: NDArray[np.float64],
+    nuisance: NDArray[np.float64],
+    evidence: Evidence,
+) -> None:
+    """Add to normal equations, in place, how far the outline may slip and how strong waves are.
+
+    Parameters
+    ----------
+    normal : ndarray of float64, shape (BODY + W, BODY + W)
+        1/m² for the slips, 1 for the waves.
+    target : ndarray of float64, shape (BODY + W,)
+        1/m, and 1.
+    nuisance : ndarray of float64, shape (SLIPS + W,)
+        The present slips, metres, and waves.
+    evidence : Evidence
+        What was seen: a pixel's size at its distance.
+    """
+    slips = 1 / (np.array(_SLIP_SD_PX) * evidence.pixel_rad * evidence.far_m) ** 2
+    weight = np.concatenate([slips, np.ones(evidence.waves)])
+    last = np.arange(BODY - SLIPS, len(target))
+    normal[last, last] += weight
+    target[last] -= weight * nuisance
+
+
+# How much larger than its own each reading's error is taken to be, step by step.
+_SCHEDULE = (16.0, 10.0, 6.0, 4.0, 2.5, 1.6, 1.0, 1.0, 1.0)
+_MORE_STEPS = 6  # after these, until nothing moves by more, or the length has stood still twice
+_STILL_M, _STILL_SHARE = 1e-4, 3e-4
+_SETTLED = 6  # from this step on the outline's and the depth's own scatter is used
+END_SHARE = 0.1
+"""Share of the axis over which an end's direction is taken."""
+
+_LEAST_WIDTH = 0.15  # of the middle radius
+_LEAST_HOLD = 1e-9  # of the mean weight, on every unknown: nothing may be left quite free
+SCATTER_POINTS, SCATTER_RAYS = (0.7, 3.0), (0.5, 2.0)
+
+
+@dataclass(frozen=True, eq=False)
+class TubeFitting:
+    """A fitted shape, and what remains.
+
+    Parameters
+    ----------
+    shape : TubeShape
+        The body.
+    covariance : ndarray of float64, shape (39, 39)
+        Of the shape's control points row by row, of its control radii, and of `slip_px` at the
+        fruit's distance; square metres.
+    points, rays : Gaps
+        What remains at the depth points and at the outline's rays.
+    ends_seen : tuple of bool
+        Whether the outline goes round the curve's first and last end.
+    misfit : float
+        Squared gaps in units of their own error, each counted up to `_MISFIT_SD`, as many as
+        there are independent readings: what tells fits of one fruit from each other.
+    """
+
+    shape: TubeShape
+    covariance: NDArray[np.float64]
+    points: Gaps
+    rays: Gaps
+    ends_seen: tuple[bool, bool]
+    misfit: float = 0.0
+
+    @property
+    def centreline_sd_m(self) -> float:
+        """Standard deviation of the axis' length from pole to pole, metres."""
+        bend, width = bases(BALLS)
+        steps = np.diff(bend @ self.shape.bend_m, axis=0)
+        steps /= np.maximum(np.linalg.norm(steps, axis=1), 1e-12)[:, None]
+        by_bend = np.diff(bend, axis=0).T @ steps
+        slope = np.concatenate([by_bend.ravel(), width[0] + width[-1], np.zeros(SLIPS)])
+        return float(np.sqrt(max(slope @ self.covariance @ slope, 0.0)))
+
+    @property
+    def ends_covariance(self) -> NDArray[np.float64]:
+        """Covariance of the first and the last end, shape (2, 6, 6).
+
+        Of each pole's place (metres) and of the unit vector that leads out of the body there.
+        """
+        centres, radii = self.shape.balls()
+        bend, width = bases(BALLS)
+        within = round(END_SHARE * BALLS)
+        covariances = []
+        for end, inner in ((0, within), (-1, -1 - within)):
+            run = centres[end] - centres[inner]
+            out = run / max(float(np.linalg.norm(run)), 1e-9)
+            across = (np.eye(3) - np.outer(out, out)) / max(float(np.linalg.norm(run)), 1e-9)
+            by_bend = _kron(bend[end] - bend[inner], across)
+            place = _kron(bend[end], np.eye(3)) + radii[end] * by_bend
+            slope = np.zeros((6, len(self.covariance)))
+            slope[:, : by_bend.shape[1]] = np.vstack([place, by_bend])
+            slope[:3, by_bend.shape[1] : SHAPE] = np.outer(out, width[end])
+            covariances.append(slope @ self.covariance @ slope.T)
+        return np.stack(covariances)
+
+
+def _kron(weights: NDArray[np.float64], matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    # As np.kron, in a tenth of its time.
+    return (matrix[:, None] * weights[None, :, None]).reshape(len(matrix), -1)
+
+
+def fit_shape(evidence: Evidence, guess: TubeShape) -> TubeFitting:
+    """Fit the shape by robust Gauss-Newton steps, from coarse to fine.
+
+    Depth points are weighted by Tukey's biweight (flying pixels must have no say), outline rays
+    by Cauchy's weight (a stalk or a shoulder must keep some). Towards the end both kinds are
+    rescaled by their own scatter, so that a rough outline trusts depth more, and the reverse.
+
+    Parameters
+    ----------
+    evidence : Evidence
+        What was seen.
+    guess : TubeShape
+        Where to start; its ends rather short of the fruit's than beyond.
+
+    Returns
+    -------
+    TubeFitting
+        The shape with its covariance, and what remains.
+
+    Examples
+    --------
+    A straight body seen from the side: surface points of its front, and no outline.
+
+    >>> from cucumbervision.tube.shape import shape_from_curve
+    >>> x, a = (m.ravel() for m in np.meshgrid(np.linspace(0, 0.2, 60), np.linspace(0.3, 2.8, 9)))
+    >>> cloud = np.stack([x, 0.02 * np.cos(a), 0.5 - 0.02 * np.sin(a)], axis=1)
+    >>> curve = np.stack([np.linspace(0.02, 0.18, 9), np.zeros(9), np.full(9, 0.505)], axis=1)
+    >>> evidence = Evidence(cloud, np.full(540, 1e-3), np.empty((0, 3)), 1e-3, 1e-3, 1.0, 1.0)
+    >>> centres, radii = fit_shape(evidence, shape_from_curve(curve, 0.015)).shape.balls(5)
+    >>> centres[2, 2].round(3).tolist(), radii[2].round(3).tolist()
+    (0.5, 0.02)
+    """
+    fit = tube_kernel.fitted(evidence, guess)
+    if fit is None:
+        return _fit_by_numpy(evidence, guess)
+    return TubeFitting(
+        TubeShape(fit.bend_m, fit.width_m),
+        fit.covariance,
+        gaps_of(fit.points),
+        gaps_of(fit.rays),
+        (bool(fit.ends_seen[0]), bool(fit.ends_seen[1])),
+        float(fit.misfit[0]),
+    )
+
+
+def _fit_by_numpy(evidence: Evidence, guess: TubeShape) -> TubeFitting:
+    shape, nuisance = guess, np.zeros(SLIPS + evidence.waves)
+    scatter, hold = (1.0, 1.0), end_hold((True, True))
+    anchors = guess.balls(2)[0]
+    settled, length_m, still = False, 0.0, 0
+    for step, scale in enumerate((*_SCHEDULE, *[_SCHEDULE[-1]] * _MORE_STEPS)):
+        if settled and step >= len(_SCHEDULE):
+            break
+        points = point_readings(evidence, shape, nuisance)
+        rays = ray_readings(evidence, shape, nuisance[:SLIPS])
+        if step >= _SETTLED:
+            scatter = points.scatter(SCATTER_POINTS), rays.scatter(SCATTER_RAYS)
+            visible = ends_seen(shape, rays.contacts, evidence.rays)
+            hold = end_hold(visible)
+        shares = evidence.points_share, evidence.rays_share
+        normal, target = normal_equations((points, rays), shares, scatter, scale)
+        add_shape_prior(normal, target, shape, anchors, hold)
+        add_nuisance_prior(normal, target, nuisance, evidence)
+        move = solve_held(normal, target, BODY)
+        settled = float(np.abs(move[:SHAPE]).max()) < _STILL_M
+        shape, move = stepped(shape, move, BODY)
+        if step >= _SETTLED:
+            before, length_m = length_m, shape.length_m
+            still = still + 1 if abs(length_m - before) < _STILL_SHARE * length_m else 0
+            settled = settled or still > 1
+        nuisance = nuisance + move[SHAPE:]
+    rays = ray_readings(evidence, shape, nuisance[:SLIPS])
+    points = point_readings(evidence, shape, nuisance)
+    misfit = sum(r.misfit(n) for r, n in zip((points, rays), shares, strict=True))
+    waves = points.slope[:, BODY:] @ nuisance[SLIPS:]
+    remains = replace(points.contacts, gap_m=points.contacts.gap_m - waves)
+    covariance = np.asarray(np.linalg.solve(normal, np.eye(len(normal), BODY))[:BODY])
+    visible = ends_seen(shape, rays.contacts, evidence.rays)
+    return TubeFitting(shape, covariance, remains, rays.contacts, visible, misfit)
+
+
+def solve_held(
+    normal: NDArray[np.float64], target: NDArray[np.float64], body: int
+) -> NDArray[np.float64]:
+    """Return the step that normal equations ask for; no unknown of the body is left quite free.
+
+    Parameters
+    ----------
+    normal : ndarray of float64, shape (K, K)
+        Changed in place: its first `body` diagonal elements grow by `_LEAST_HOLD` of their mean.
+    target : ndarray of float64, shape (K,)
+        What `normal` times the step is.
+    body : int
+        How many of the unknowns are the body's.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If they have no solution.
+    """
+    first = np.arange(body)
+    normal[first, first] += _LEAST_HOLD * float(normal[first, first].mean())
+    return np.asarray(np.linalg.solve(normal, target))
+
+
+def stepped(
+    shape: TubeShape, move: NDArray[np.float64], body: int
+) -> tuple[TubeShape, NDArray[np.float64]]:
+    """Return a body after a step, and the step as it was taken.
+
+    A step beyond the body's own width would leave the readings that led it, so it is shortened;
+    a body that vanishes on the way would lose its readings there for good, so its radius stays
+    above `_LEAST_WIDTH` of the median.
+
+    Parameters
+    ----------
+    shape : TubeShape
+        The body before.
+    move : ndarray of float64, shape (K,)
+        The step; its first `SHAPE` unknowns are the body's, metres.
+    body : int
+        How many of its unknowns are metres that bound the step.
+    """
+    limit = 0.6 * float(np.abs(shape.width_m).max()) + 0.002
+    move = move * min(1.0, limit / max(float(np.abs(move[:body]).max()), 1e-12))
+    split = shape.bend_m.size
+    width = shape.width_m + move[split:SHAPE]
+    width = np.maximum(width, _LEAST_WIDTH * median_of(width))
+    return TubeShape(shape.bend_m + move[:split].reshape(-1, 3), width), move

@@ -1,1 +1,0 @@
-"""The methods measured on simulated captures of known length."""

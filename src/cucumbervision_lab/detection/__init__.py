@@ -1,1 +1,0 @@
-"""How well fruit are detected, outlined and measured from pictures."""

@@ -1,0 +1,1 @@
+"""Evaluate detection, masks and lengths: simulated captures, drawn scenes, audited photos."""

@@ -1,0 +1,480 @@
+"""Evaluate the networks on a labelled set; learn intervals from what they see in a drawn one."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+from scipy.stats import chi2
+
+from cucumbervision.capture.pictures import read_color
+from cucumbervision.errors import ModelError
+from cucumbervision.fruit.instance import Instance, MaskSource
+from cucumbervision.fruit.mask_codes import decode_rle
+from cucumbervision.fruit.masks import box_ious, box_of_mask, mask_iou, share_inside
+from cucumbervision.methods.pose import Part, stem_first
+from cucumbervision.methods.selector import measure_fruit
+from cucumbervision.networks.confidence import DEFAULT_CONFIDENCE
+from cucumbervision.networks.registry import load_registry
+from cucumbervision_lab.data.labels import ticked
+from cucumbervision_lab.evaluate.benchmark import (
+    fit_interval_models,
+    package_finder,
+    run_cases,
+    write_interval_models,
+)
+from cucumbervision_lab.evaluate.cases import stress_cases
+from cucumbervision_lab.evaluate.measure_case import (
+    READ,
+    CaseOptions,
+    LengthRecord,
+    Masks,
+    append_record,
+    fruit_lengths,
+    interval_details,
+    read_records,
+    readings_frame,
+)
+from cucumbervision_lab.evaluate.outcomes import match_fruit
+from cucumbervision_lab.evaluate.picture_result import (
+    detect_picture,
+    found_by_fruit,
+    open_networks,
+)
+from cucumbervision_lab.evaluate.pictures import (
+    capture_of,
+    frame_of,
+    import_pycocotools,
+    read_held_out,
+    spread,
+)
+from cucumbervision_lab.processes import each_done
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from cucumbervision.capture.frames import Capture
+    from cucumbervision.methods.intervals import IntervalModels
+    from cucumbervision.methods.pose import FruitPose
+    from cucumbervision.methods.result import Fruit
+    from cucumbervision_lab.data.labels import DataSet, LabelledPicture
+    from cucumbervision_lab.evaluate.measure_case import LengthRecord
+    from cucumbervision_lab.evaluate.pictures import Frame, TrueFruit
+
+    Report = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True, eq=False)
+class DetectionResult:
+    """Results of an evaluation.
+
+    Parameters
+    ----------
+    data : Path
+        The labelled set.
+    split : str
+        The evaluated split.
+    confidence : float
+        Confidence threshold for recall and precision.
+    input_sizes : tuple of int
+        Long sides of the detector input, pixels; empty for the network's default.
+    frames : tuple of Frame
+        Labels and detections.
+    readings : DataFrame
+        Lengths on true and on predicted masks, see `readings_frame`; may be empty.
+    models : list of dict
+        File, SHA-256 and runtime of each network.
+    seconds : dict of str to list of float
+        Run time of each network for each picture.
+    duration_s : float
+        Total duration.
+    """
+
+    data: Path
+    split: str
+    confidence: float
+    input_sizes: tuple[int, ...]
+    frames: tuple[Frame, ...]
+    readings: pd.DataFrame
+    models: list[dict[str, Any]]
+    seconds: dict[str, list[float]]
+    duration_s: float
+
+
+def chosen_networks(
+    segment: Path | None, pose: Path | None
+) -> tuple[Path | str | None, Path | str | None]:
+    """Return the given networks, or the names of the registry's defaults.
+
+    Raises
+    ------
+    ModelError
+        If there is neither a segmentation nor a pose network.
+    """
+    registry = load_registry()
+
+    def choose(file: Path | None, task: str) -> Path | str | None:
+        model = registry.default(task)
+        return file or (model.name if model else None)
+
+    networks = choose(segment, "segment"), choose(pose, "pose")
+    if networks == (None, None):
+        raise ModelError("the package contains no networks", remedy="give one with --seg or --pose")
+    return networks
+
+
+def evaluate_detection(
+    data: Path,
+    segment: Path | None = None,
+    pose: Path | None = None,
+    *,
+    segmenter: str | None = "mobile-sam",
+    runtime: str = "auto",
+    confidence: float = DEFAULT_CONFIDENCE,
+    split: str = "test",
+    limit: int | None = None,
+    sam_limit: int = 40,
+    input_sizes: tuple[int, ...] = (),
+    report: Callable[[str, int, int], None] | None = None,
+) -> DetectionResult:
+    """Run the networks on every picture of a split.
+
+    Parameters
+    ----------
+    data : Path
+        The labelled set.
+    segment, pose : Path, optional
+        ONNX files; by default the networks of the registry.
+    segmenter : str, optional
+        Name of a SAM in the registry; None measures on the detector's masks.
+    runtime, confidence, input_sizes
+        See `open_networks`.
+    split : str
+        Split of the set.
+    limit, sam_limit : int, optional
+        Maximum number of pictures, and of those for SAM and lengths, evenly spaced.
+    report : callable, optional
+        Called after each picture with the name of the step, the number of finished pictures since
+        the last call, and their total.
+
+    Raises
+    ------
+    DataSetError
+        If the set is not suitable as a test.
+    ModelError
+        If a network is missing or cannot be loaded.
+    MissingExtraError
+        If pycocotools is not installed.
+    """
+    start = time.perf_counter()
+    import_pycocotools()
+    held_out = read_held_out(data, split, limit)
+    networks = open_networks(
+        *chosen_networks(segment, pose),
+        segmenter,
+        runtime=runtime,
+        confidence=confidence,
+        input_sizes=input_sizes,
+    )
+    measured = {picture.file for picture in spread(held_out.pictures, sam_limit)}
+    frames: list[Frame] = []
+    records: list[LengthRecord] = []
+    seconds: dict[str, list[float]] = {}
+    for picture in held_out.pictures:
+        color = read_color(held_out.path(picture))
+        capture = capture_of(picture, held_out, color)
+        depth_m = None if capture is None else capture.depth_m
+        focal_px = None if capture is None else capture.intrinsics.fx_px
+        frame = frame_of(picture, held_out, depth_m)
+        result = detect_picture(frame, color, networks, depth_m, focal_px)
+        if picture.file in measured and capture is not None:
+            instances = found_by_fruit(result, networks.confidence)
+            if networks.segmenter is not None:
+                drawn = networks.segmenter.segment(color, list(instances.values()))
+                instances = dict(zip(instances, drawn, strict=True))
+            records += length_records(result.frame, capture, instances)
+        frames.append(result.frame)
+        for name, duration in result.seconds.items():
+            seconds.setdefault(name, []).append(duration)
+        if report is not None:
+            report("pictures", 1, len(held_out.pictures))
+    return DetectionResult(
+        data,
+        split,
+        confidence,
+        input_sizes,
+        tuple(frames),
+        readings_frame(records) if records else pd.DataFrame(),
+        networks.models,
+        seconds,
+        time.perf_counter() - start,
+    )
+
+
+def length_records(
+    frame: Frame,
+    capture: Capture,
+    perceived: Mapping[int, Instance],
+) -> list[LengthRecord]:
+    """Measure the fruit of a picture on true and on predicted masks.
+
+    Parameters
+    ----------
+    frame : Frame
+        Labels of the picture.
+    capture : Capture
+        Colour and depth of the picture.
+    perceived : mapping of int to Instance
+        Detected instances with masks and keypoints, by index in `frame.true`.
+
+    Returns
+    -------
+    list of LengthRecord
+        Two records for each fruit to be detected with known lengths. The predicted record of a
+        missed fruit has no lengths.
+    """
+    records = []
+    for number, fruit in enumerate(frame.true):
+        if not fruit.required or fruit.code is None or fruit.centreline_m is None:
+            continue
+        instance = perceived.get(number)
+        records.append(_record(frame, number, capture, _true_instance(frame, number), Masks.EXACT))
+        records.append(_record(frame, number, capture, instance, Masks.PERCEIVED))
+    return records
+
+
+def _true_instance(frame: Frame, number: int) -> Instance:
+    fruit = frame.true[number]
+    mask = _true_mask(fruit)
+    points = None
+    if fruit.keypoints is not None:
+        points = np.column_stack([fruit.keypoints[:, :2], fruit.keypoints[:, 2] == 2])
+    return Instance(box_of_mask(mask), mask=mask, mask_source=MaskSource.DATASET, keypoints=points)
+
+
+def _true_mask(fruit: TrueFruit) -> NDArray[np.bool_]:
+    code = fruit.code or {}
+    return decode_rle(code["counts"], *code["size"])
+
+
+def pose_errors(pose: FruitPose, axis_m: NDArray[np.float64]) -> dict[str, Any]:
+    """Return how far a fruit's pose is from the true one.
+
+    Parameters
+    ----------
+    pose : FruitPose
+        As measured.
+    axis_m : ndarray of float64, shape (K, 3)
+        The true axis from blossom end to stem end, camera coordinates, metres.
+
+    Returns
+    -------
+    dict
+        `swapped` (the ends fit better the other way round), `stem_confidence`, `whole` (both ends
+        are in sight); where they are right `stem_mm`, `stem_deg` and, for a fruit whose stem end
+        is in sight, `cut_in_90`: whether the true place to cut lies within the ellipsoid of 90 %.
+
+    Examples
+    --------
+    >>> from cucumbervision import example_captures, measure
+    >>> pose = measure(example_captures() / "simulated-row-a", instances="dataset").fruit[0].pose
+    >>> pose_errors(pose, pose.axis_m)["swapped"]
+    True
+    >>> errors = pose_errors(pose, pose.axis_m[::-1])
+    >>> errors["stem_mm"], errors["cut_in_90"]
+    (0.0, True)
+    """
+    blossom, stem = axis_m[0], axis_m[-1]
+    ends = np.stack([pose.blossom_m, pose.stem_m])
+    straight = np.linalg.norm(ends - [blossom, stem], axis=1).sum()
+    swapped = bool(np.linalg.norm(ends - [stem, blossom], axis=1).sum() < straight)
+    errors: dict[str, Any] = {"swapped": swapped, "stem_confidence": pose.stem_confidence}
+    errors["whole"] = not {Part.STEM, Part.BLOSSOM} & set(pose.covered)
+    if swapped:
+        return errors
+    out = (stem - axis_m[-2]) / np.linalg.norm(stem - axis_m[-2])
+    errors["stem_mm"] = 1e3 * float(np.linalg.norm(pose.stem_m - stem))
+    errors["stem_deg"] = float(np.degrees(np.arccos(np.clip(pose.direction @ out, -1, 1))))
+    if pose.cut_m is not None and pose.cut_covariance_m2 is not None:
+        beyond_m = float(np.linalg.norm(pose.cut_m - pose.stem_m))
+        off = pose.cut_m - (stem + beyond_m * out)
+        squared = float(off @ np.linalg.solve(pose.cut_covariance_m2, off))
+        errors["cut_in_90"] = bool(squared <= chi2.ppf(0.9, 3))
+    return errors
+
+
+def _with_gravity(
+    measured: Fruit, axis_m: NDArray[np.float64], capture: Capture, swapped: bool
+) -> dict[str, Any]:
+    """Return what gravity would make of a pose's ends, and whether the fruit hangs."""
+    if capture.gravity is None or measured.selected is None:
+        return {}
+    before = measured.selected
+    after, sure = stem_first(before, measured.instance, capture)
+    run = axis_m[0] - axis_m[-1]
+    return {
+        "hangs": bool(run @ capture.gravity > 0.5 * np.linalg.norm(run)),
+        "swapped_by_gravity": swapped != (after is not before),
+        "sure_by_gravity": sure,
+    }
+
+
+def _record(
+    frame: Frame,
+    number: int,
+    capture: Capture,
+    instance: Instance | None,
+    masks: Masks,
+) -> LengthRecord:
+    fruit = frame.true[number]
+    lengths: dict[str, float | None] = dict.fromkeys(READ)
+    details: dict[str, Any] = {"scene": frame.scene, "missed": instance is None}
+    details["cut_off"] = bool(fruit.cut_off)
+    details["selected"] = None
+    fill = None
+    if instance is not None:
+        measured = measure_fruit(replace(capture, gravity=None), instance)
+        lengths.update(fruit_lengths(measured, capture)[0])
+        details["selected"] = str(measured.selected.method) if measured.selected else None
+        details["flags"] = list(measured.flags)
+        details["mask_iou"] = mask_iou(instance.mask, _true_mask(fruit))
+        details |= interval_details(measured)
+        if measured.pose is not None and fruit.axis_m is not None:
+            details |= pose_errors(measured.pose, fruit.axis_m)
+            details |= _with_gravity(measured, fruit.axis_m, capture, details["swapped"])
+        fill = measured.fill
+    return LengthRecord(
+        case=f"{frame.name}#{number}",
+        suite="detection",
+        masks=masks,
+        fruit=f"{frame.name}#{number}",
+        centreline_m=fruit.centreline_m,
+        thread_m=fruit.thread_m,
+        chord_m=fruit.chord_m,
+        distance_m=fruit.distance_m,
+        tilt_deg=float("nan"),
+        bend_radius_m=None,
+        hidden_share=fruit.hidden_share,
+        fill=float("nan") if fill is None else fill,
+        lengths_m=lengths,
+        details=details,
+    )
+
+
+# Case numbers not used by any benchmark.
+_LEARN_FIRST = 1_000_000
+
+
+def learn_intervals(
+    file: Path,
+    out: Path,
+    fruit: int,
+    drawn: Path,
+    workers: int = 1,
+    report: Report | None = None,
+) -> IntervalModels:
+    """Fit all interval models, on fruit that no benchmark uses.
+
+    Parameters
+    ----------
+    file : Path
+        Output file of the models.
+    out : Path
+        Folder of the measurement records, used to resume an interrupted run.
+    fruit : int
+        Number of stress-set fruit, measured with exact and with disturbed outlines, so that the
+        models can use the roughness of the outline.
+    drawn : Path
+        Set written by `synth` with depth, measured on true and on predicted masks.
+    workers : int
+        Number of processes.
+    report : callable, optional
+        See `run_benchmark`.
+    """
+    cases = stress_cases(fruit, first=_LEARN_FIRST)
+    tell = None if report is None else (lambda count: report("stress fruit", count, fruit))
+    options = CaseOptions((Masks.EXACT, Masks.DISTURBED))
+    records = run_cases(cases, options, out / "learning.jsonl", workers, tell)
+    records += set_records(drawn, "all", out / "pictures.jsonl", workers, report)
+    book = fit_interval_models(readings_frame(records))
+    write_interval_models(file, book)
+    return book
+
+
+def set_records(
+    folder: Path, split: str, keep: Path, workers: int = 1, report: Report | None = None
+) -> list[LengthRecord]:
+    """Measure the fruit of a synthetic set on true masks and on masks of the packaged networks.
+
+    Parameters
+    ----------
+    folder : Path
+        Set with depth.
+    split : str
+        Split to measure, or 'all'.
+    keep : Path
+        JSON lines file of finished records, which are not measured again. Delete it when the
+        networks or the methods change.
+    workers : int
+        Number of processes.
+    report : callable, optional
+        See `run_benchmark`.
+
+    Raises
+    ------
+    DataSetError
+        If the set cannot be read.
+    """
+    held = read_held_out(folder, split)
+    done = read_records([keep]) if keep.exists() else []
+    names = {_picture_of(record) for record in done}
+    missing = [picture for picture in held.pictures if picture.file not in names]
+    tell = None if report is None else (lambda n: report("pictures", n, len(held.pictures)))
+    if tell is not None and names:
+        tell(len(held.pictures) - len(missing))
+    keep.parent.mkdir(parents=True, exist_ok=True)
+    for records_of_picture in ticked(each_done(partial(_measured, held), missing, workers), tell):
+        for record in records_of_picture:
+            append_record(keep, record)
+        done += records_of_picture
+    chosen = {picture.file for picture in held.pictures}
+    return [record for record in done if _picture_of(record) in chosen]
+
+
+def _picture_of(record: LengthRecord) -> str:
+    return record.case.partition("#")[0]
+
+
+def _measured(data: DataSet, picture: LabelledPicture) -> list[LengthRecord]:
+    capture = capture_of(picture, data, read_color(data.path(picture)))
+    if capture is None:
+        return []
+    frame, instances = frame_of(picture, data, None), package_finder().find(capture).instances
+    matches, required = match_fruit(frame, [instance.box for instance in instances])
+    perceived = {required[number]: instances[index] for number, index in matches.pairs}
+    return length_records(frame, capture, perceived)
+
+
+_AMBIGUOUS_OVERLAP = 0.3  # unmatched detections that overlap a fruit by more are not negatives
+
+
+def true_positives(frame: Frame, boxes: NDArray[np.float64]) -> list[bool | None]:
+    """Return whether each box is a true positive; None for duplicates and parts of a fruit."""
+    boxes = boxes.reshape(-1, 4)
+    hits = {index for _, index in match_fruit(frame, list(boxes))[0].pairs}
+    true_boxes = np.array([fruit.box for fruit in frame.true]).reshape(-1, 4)
+    on_fruit = np.maximum(
+        box_ious(boxes, true_boxes).max(axis=1, initial=0.0), share_inside(boxes, true_boxes)
+    )
+    return [
+        True if k in hits else None if on_fruit[k] > _AMBIGUOUS_OVERLAP else False
+        for k in range(len(boxes))
+    ]

@@ -1,0 +1,129 @@
+"""Real trainings of a network with random weights on eight little pictures."""
+
+from __future__ import annotations
+
+import csv
+import importlib.util
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+if importlib.util.find_spec("ultralytics") is None:
+    pytest.skip("needs the extra 'train'", allow_module_level=True)
+
+from tests.lab.training.conftest import QUICK
+
+from cucumbervision.errors import ModelError, TrainingError
+from cucumbervision.networks.runtime import open_network
+from cucumbervision.networks.yolo_layout import ORDER_KEY, SIZES_KEY
+from cucumbervision_lab.train.data import open_sets
+from cucumbervision_lab.train.export import export_trained
+from cucumbervision_lab.train.network import NETWORK, load_yolo, train
+
+pytestmark = pytest.mark.train
+
+
+def epochs(run: Path) -> list[int]:
+    with (run / "results.csv").open() as file:
+        return [int(row["epoch"]) for row in csv.DictReader(file)]
+
+
+def test_a_run_holds_its_weights_and_what_it_began_with(seg_run: Path) -> None:
+    assert epochs(seg_run) == [1, 2]
+    assert (seg_run / NETWORK).stat().st_size < 7e6  # without its optimiser
+    begun = json.loads((seg_run / "begun.json").read_text())
+    assert (begun["task"], begun["init"], begun["epochs"]) == ("seg", "yolo26n-seg.yaml", 2)
+    used = (seg_run / "args.yaml").read_text().splitlines()
+    for line in ("batch: 4", "imgsz: 64", "lr0: 0.001", "optimizer: AdamW", "nms: false"):
+        assert line in used
+
+
+def test_a_finished_run_has_nothing_to_do(seg_run: Path) -> None:
+    before = (seg_run / "results.csv").read_bytes()
+    assert train("seg", [], seg_run, "yolo26n-seg.yaml", QUICK) == (seg_run / NETWORK).resolve()
+    assert (seg_run / "results.csv").read_bytes() == before
+
+
+def test_an_interrupted_run_goes_on_at_its_next_epoch(pose_set: Path, tmp_path: Path) -> None:
+    def stop(_: str) -> None:
+        raise KeyboardInterrupt
+
+    sets, lines = open_sets([pose_set.parent]), list[str]()
+    with pytest.raises(KeyboardInterrupt):
+        train("pose", sets, tmp_path, "yolo26n-pose.yaml", replace(QUICK, epochs=3), stop)
+    assert load_yolo(tmp_path / NETWORK).ckpt["epoch"] == 0
+    train("pose", [], tmp_path, "yolo26n-pose.yaml", QUICK, lines.append)
+    assert [line.split("  ")[0] for line in lines] == ["epoch 2 of 3", "epoch 3 of 3"]
+    assert epochs(tmp_path)[-2:] == [2, 3]
+    card = export_trained(tmp_path, tmp_path / "out", "tiny-pose")
+    metadata = open_network(tmp_path / "out" / card.file, "onnxruntime").metadata
+    assert metadata[ORDER_KEY] == "place"
+
+
+def test_what_cannot_be_trained_is_named(seg_set: Path, seg_run: Path, tmp_path: Path) -> None:
+    sets, new = open_sets([seg_set.parent]), tmp_path / "new"
+    with pytest.raises(TrainingError, match="contains a training for segment"):
+        train("pose", [], seg_run, "yolo26n-pose.yaml", QUICK)
+    with pytest.raises(TrainingError, match=r"gone\.pt: weights not found"):
+        train("seg", sets, new, str(tmp_path / "gone.pt"), QUICK)
+    with pytest.raises(TrainingError, match="unknown task"):
+        train("detect", sets, new, "yolo26n.yaml", QUICK)
+    bad = tmp_path / "bad.pt"
+    bad.write_bytes(b"none")
+    with pytest.raises(ModelError, match=r"bad\.pt: Ultralytics cannot load"):
+        train("seg", sets, new, str(bad), QUICK)
+
+
+@pytest.mark.parametrize("runtime", ["onnxruntime", "openvino"])
+def test_exported_file_computes_as_the_network(
+    runtime: str, seg_run: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    pytest.importorskip(runtime)
+    import numpy as np
+    import torch
+
+    out = tmp_path_factory.mktemp("out")
+    card = export_trained(seg_run, out, "tiny-seg")
+    network = open_network(out / card.file, runtime, full_precision=True)
+    model = load_yolo(seg_run / NETWORK).model.float().eval()
+    model.end2end = True
+    head = model.model[-1]
+    head.postprocess = lambda rows: rows  # all anchors, as corners
+    for height, width in ((64, 96), (96, 64), (160, 160)):
+        picture = np.random.default_rng(height).random((1, 3, height, width), np.float32)
+        with torch.no_grad():
+            rows, masks = model(torch.from_numpy(picture))[0]
+        given = network.run({"images": picture})
+        found = given["output0"][0]
+        low, high = rows[0, :, :2].T.numpy(), rows[0, :, 2:4].T.numpy()
+        # Weights are stored in half precision after batch norm was folded into them.
+        assert np.abs(found[:2] - (low + high) / 2).max() < 0.5
+        assert np.abs(found[2:4] - (high - low)).max() < 0.5
+        assert np.abs(found[4] - rows[0, :, 4].numpy()).max() < 0.005
+        assert np.abs(given["output1"] - masks.numpy()).max() < 0.05
+
+
+def test_card_tells_of_the_run(seg_run: Path, tmp_path: Path) -> None:
+    judged = tmp_path / "judged.json"
+    judged.write_text('{"command": "evaluate", "recall": 0.9}')
+    card = export_trained(seg_run, tmp_path, "tiny-seg", evaluation=judged, credits=["Photos: A"])
+    assert card.plan == "2 of 2 epochs at 64 px, 0.0 h"
+    assert open_network(tmp_path / card.file, "onnxruntime").metadata[SIZES_KEY] == "640,896"
+    assert card.began_with == "yolo26n-seg.yaml"
+    assert "mAP50(M)" in card.metrics
+    page = (tmp_path / "tiny-seg.md").read_text()
+    for word in ("AGPL-3.0", "Photos: A", card.sha256, "--epochs 2 --size 64", '"recall": 0.9'):
+        assert word in page
+    assert "## Trained on" in page
+    assert "| not stated | not stated | 8 | 8 | 8 |" in page
+    assert str(seg_run) not in page
+    assert str(tmp_path) not in page
+
+
+def test_what_cannot_be_exported_is_named(seg_run: Path, tmp_path: Path) -> None:
+    with pytest.raises(TrainingError, match="invalid model name"):
+        export_trained(seg_run, tmp_path, "Tiny Seg")
+    with pytest.raises(TrainingError, match="no epoch has completed yet"):
+        export_trained(tmp_path, tmp_path, "tiny")

@@ -1,0 +1,328 @@
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import openpyxl
+import pytest
+
+from cucumbervision.capture.frames import Capture
+from cucumbervision.capture.readers import open_source
+from cucumbervision.capture.readers.native import write_native
+from cucumbervision.capture.source import (
+    CaptureRef,
+    CaptureSource,
+    ReadOptions,
+    example_captures,
+)
+from cucumbervision.errors import CucumberVisionError, InstancesError, UnknownModelError
+from cucumbervision.files import cell_value
+from cucumbervision.methods.result import MethodName
+from cucumbervision.run.finders import make_finder
+from cucumbervision.run.inputs import count_captures
+from cucumbervision.run.options import MeasureOptions
+from cucumbervision.run.whole_run import BatchOptions, Step, measure_inputs
+
+ROW_A = "simulated-row-a"
+
+
+@pytest.fixture(scope="module")
+def run_out(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One run over the bundled captures and a broken one, with the data set's masks."""
+    folder = tmp_path_factory.mktemp("run")
+    broken = folder / "broken"
+    shutil.copytree(example_captures() / "simulated-bench", broken)
+    (broken / "depth_000002.png").write_bytes(b"\x89PNG\r\n")
+    seen: list[Step] = []
+    result = measure_inputs(
+        [broken, example_captures(), folder / "missing"],
+        folder / "out",
+        MeasureOptions(),
+        seen.append,
+    )
+    assert [len(one.failures) for one in seen] == [1, 0, 0, 0, 1]
+    assert [len(one.record.rows) for one in seen if one.record is not None] == [3, 3, 2]
+    assert result.exit_code == 1
+    assert result.captures == 3
+    assert len(result.rows) == 8
+    assert len(result.failures) == 2
+    return folder / "out"
+
+
+def read_csv(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="", encoding="utf-8-sig") as stream:
+        return list(csv.DictReader(stream))
+
+
+def test_bad_input_loses_nothing_of_the_rest(run_out: Path) -> None:
+    rows = read_csv(run_out / "measurements.csv")
+    assert len(rows) == 8
+    assert all(row["length_cm"] for row in rows)
+    failures = read_csv(run_out / "failures.csv")
+    assert [f["error"] for f in failures] == ["CaptureError", "CaptureError"]
+    assert "depth_000002.png" in failures[0]["message"]
+    assert "missing" in failures[1]["message"]
+    assert all("\n" not in f["message"] and ";" in f["message"] for f in failures)
+
+
+def test_lengths_are_near_the_truth_within_each_methods_known_error(run_out: Path) -> None:
+    rows = [r for r in read_csv(run_out / "measurements.csv") if r["capture"] == ROW_A]
+    truth = json.loads((example_captures() / ROW_A / "truth.json").read_text())
+    for row, true in zip(rows, truth, strict=True):
+        assert row["method"] == "M6"
+        assert float(row["centreline_cm"]) / (100 * true["centreline_m"]) == pytest.approx(
+            1, abs=0.02
+        )
+        assert float(row["thread_cm"]) / (100 * true["thread_m"]) == pytest.approx(1, abs=0.03)
+        # M3 reads the visible chord: at most the chord, and at least all but 4 % of it.
+        assert 0.96 < float(row["m3_cm"]) / (100 * true["chord_m"]) < 1.01
+        # The paper's M5 over-reads by its tip anchors and by the round surface: short fruit most.
+        assert 0.99 < float(row["m5_cm"]) / (100 * true["centreline_m"]) < 1.08
+        assert row["simulated"] == "true"
+
+
+def test_json_carries_provenance(run_out: Path) -> None:
+    report = json.loads((run_out / "measurements.json").read_text(encoding="utf-8"))
+    assert report["software"].startswith("cucumbervision ")
+    assert report["licence"] == "AGPL-3.0-only"
+    assert len(report["config_sha256"]) == 64
+    assert report["models"] == []
+    assert "numpy" in report["versions"]
+    assert report["kernel"] in ("compiled", "numpy")
+    assert len(report["failures"]) == 2
+    first = report["captures"][0]
+    assert first["intrinsics"]["stream"] == "color"
+    assert first["intrinsics"]["fx_px"] == 616.4
+    fruit = first["fruit"][0]
+    assert fruit["methods"]["M5"]["length_m"] * 100 == pytest.approx(fruit["m5_cm"], abs=1e-3)
+    assert len(fruit["methods"]["M5"]["tips_m"]) == 2
+    assert fruit["methods"]["M4"]["reason"] == "no-keypoints"
+
+
+def test_workbook_says_the_same_as_the_csv(run_out: Path) -> None:
+    sheet = openpyxl.load_workbook(run_out / "measurements.xlsx")["Fruit"]
+    lines = list(sheet.iter_rows(min_row=2, values_only=True))
+    rows = read_csv(run_out / "measurements.csv")
+    assert len(lines) == len(rows)
+    for line, row in zip(lines, rows, strict=True):
+        for cell, text in zip(line, row.values(), strict=True):
+            shown = cell_value(cell)  # Excel has true and false of its own
+            assert ("" if shown is None else str(shown)) == text or float(cell) == float(text)
+
+
+def test_an_annotated_picture_for_each_capture(run_out: Path) -> None:
+    pictures = sorted((run_out / "overlays").glob("*.png"))
+    # The broken capture keeps its name for when it is repaired.
+    assert [p.stem for p in pictures] == ["simulated-bench-2", ROW_A, "simulated-row-b"]
+    picture = cv2.imread(str(pictures[0]))
+    assert picture is not None
+    assert picture.shape == (480, 848, 3)
+
+
+def test_captures_of_one_name_get_pictures_of_their_own(tmp_path: Path) -> None:
+    other = tmp_path / "again"
+    shutil.copytree(example_captures() / ROW_A, other)
+    result = measure_inputs(
+        [example_captures() / ROW_A, other],
+        tmp_path / "out",
+        MeasureOptions(methods=(MethodName.M1,)),
+    )
+    assert sorted({str(row["capture"]) for row in result.rows}) == [ROW_A, f"{ROW_A}-2"]
+    assert len(list((tmp_path / "out" / "overlays").iterdir())) == 2
+    assert all(row["m5_cm"] is None for row in result.rows)
+
+
+def test_a_capture_without_fruit_is_a_picture_without_rows(tmp_path: Path) -> None:
+    boxes = tmp_path / "boxes.json"
+    boxes.write_text(json.dumps({"images": [{"id": 1, "file_name": ROW_A}], "annotations": [],
+                                 "categories": [{"id": 1, "name": "cucumber"}]}))  # fmt: skip
+    result = measure_inputs(
+        [example_captures() / ROW_A], tmp_path / "out", MeasureOptions(instances=str(boxes))
+    )
+    assert (result.captures, result.rows, result.failures) == (1, [], [])
+    assert (tmp_path / "out" / "overlays" / f"{ROW_A}.png").exists()
+
+
+def test_boxes_from_a_file_are_refined_by_sam_and_bad_ones_are_noted(tmp_path: Path) -> None:
+    box = [180.0, 85.0, 80.0, 295.0]  # around the first fruit, x y w h
+    outside = [900.0, 10.0, 40.0, 40.0]
+    content = {
+        "images": [{"id": 1, "file_name": ROW_A, "width": 848, "height": 480}],
+        "categories": [{"id": 1, "name": "cucumber"}],
+        "annotations": [
+            {"id": k, "image_id": 1, "category_id": 1, "bbox": b}
+            for k, b in enumerate((box, outside), 1)
+        ],
+    }
+    boxes = tmp_path / "boxes.json"
+    boxes.write_text(json.dumps(content))
+    result = measure_inputs(
+        [example_captures() / ROW_A], tmp_path / "out", MeasureOptions(instances=str(boxes))
+    )
+    assert len(result.rows) == 1
+    row = result.rows[0]
+    assert row["mask_source"] == "sam"
+    assert row["m3_cm"] == pytest.approx(23.2, rel=0.04)
+    assert [f.error for f in result.failures] == ["InstancesError"]
+    models = json.loads((tmp_path / "out" / "measurements.json").read_text())["models"]
+    assert models[0]["name"] == "mobile-sam"
+    assert set(models[0]["sha256"]) == {"encoder", "decoder"}
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_a_file_for_other_pictures_measures_none_of_them(tmp_path: Path, named: bool) -> None:
+    # Its image id is the capture's running number, and its name another picture's.
+    names = [ROW_A, "elsewhere.png"] if named else ["elsewhere.png"]
+    content = {
+        "images": [{"id": 1 - k, "file_name": name} for k, name in enumerate(names)],
+        "annotations": [{"id": 1, "image_id": 0, "category_id": 1, "bbox": [180, 85, 80, 295]}],
+        "categories": [{"id": 1, "name": "cucumber"}],
+    }
+    unknown = [f"image id {number}" for number in range(90, 98)] if named else []
+    content["annotations"] += [
+        {"id": number, "image_id": number, "category_id": 1, "bbox": [1, 1, 9, 9]}
+        for number in range(90, 90 + len(unknown))
+    ]
+    boxes = tmp_path / "boxes.json"
+    boxes.write_text(json.dumps(content))
+    result = measure_inputs(
+        [example_captures()],
+        tmp_path / "out",
+        MeasureOptions(instances=str(boxes), segmenter="none"),
+    )
+    assert result.rows == []
+    if named:
+        assert result.failures == []
+        assert result.notes == [
+            f"{boxes}: no fruit given for simulated-bench, simulated-row-b",
+            f"{boxes}: no capture is called elsewhere.png, {', '.join(unknown)}",
+        ]
+        report = json.loads((tmp_path / "out" / "measurements.json").read_text(encoding="utf-8"))
+        assert report["notes"] == result.notes
+    else:
+        (failure,) = result.failures
+        assert "names none of the captures (simulated-bench, " in failure.message
+
+
+def test_without_a_segmenter_boxes_are_measured_by_the_box(tmp_path: Path) -> None:
+    label = tmp_path / f"{ROW_A}.txt"
+    label.write_text(f"0 {220 / 848} {232 / 480} {80 / 848} {295 / 480}\n")
+    options = MeasureOptions(instances=str(tmp_path), segmenter="none")
+    result = measure_inputs([example_captures() / ROW_A], tmp_path / "out", options)
+    assert [row["method"] for row in result.rows] == ["M1"]
+    assert result.rows[0]["reason"] == "no-mask-box-elongated"
+
+
+def test_the_dataset_is_asked_for_masks_that_it_lacks(tmp_path: Path) -> None:
+    plain = tmp_path / "plain"
+    shutil.copytree(example_captures() / ROW_A, plain)
+    shutil.rmtree(plain / "mask_visib")
+    result = measure_inputs([plain], tmp_path / "out", MeasureOptions(instances="dataset"))
+    assert result.rows == []
+    assert "has no masks" in result.failures[0].message
+
+
+def test_a_run_that_cannot_start_says_why() -> None:
+    with pytest.raises(InstancesError, match=r"nowhere\.json: no such file"):
+        make_finder(MeasureOptions(instances="nowhere.json"))
+
+
+def test_a_segmenter_that_is_not_here_stops_the_run_at_once() -> None:
+    with pytest.raises(UnknownModelError, match="choose one of mobile-sam"):
+        make_finder(MeasureOptions(segmenter="sam-vit-b"))
+
+
+def test_an_output_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
+    file = tmp_path / "file"
+    file.write_text("")
+    with pytest.raises(CucumberVisionError, match=r"file/out: cannot be written .*--out"):
+        measure_inputs([example_captures()], file / "out", MeasureOptions())
+
+
+def test_captures_are_counted_for_the_progress_bar(tmp_path: Path) -> None:
+    assert count_captures([example_captures(), tmp_path / "missing"], ReadOptions()) == 4
+
+
+def test_sams_masks_lie_on_the_fruit(tmp_path: Path) -> None:
+    finder = make_finder(MeasureOptions(instances="dataset", segmenter="mobile-sam"))
+    for ref in open_source(example_captures()):
+        capture = ref.load()
+        for drawn, true in zip(finder.find(capture).instances, capture.masks, strict=True):
+            assert drawn.mask is not None
+            overlap = np.count_nonzero(drawn.mask & true) / np.count_nonzero(drawn.mask | true)
+            assert overlap > 0.93
+
+
+def test_whatever_is_raised_in_one_capture_the_others_go_on(tmp_path: Path) -> None:
+    good = next(iter(open_source(example_captures() / ROW_A)))
+
+    def too_large() -> Capture:
+        return replace(good.load(), depth_m=np.zeros((1 << 24, 1 << 24), np.float32))
+
+    def endless() -> Capture:
+        return replace(good.load(), burst_size=int(float("inf")))
+
+    def opener(path: Path, _: ReadOptions) -> CaptureSource:
+        def refs() -> Iterator[CaptureRef]:
+            yield CaptureRef("too_large", 0, too_large)
+            yield CaptureRef("endless", 0, endless)
+            yield good
+            raise RecursionError("maximum recursion depth exceeded")
+
+        return CaptureSource(path, "test", refs)
+
+    options = MeasureOptions(methods=(MethodName.M1,))
+    result = measure_inputs([Path("house")], tmp_path, options, batch=BatchOptions(opener=opener))
+    assert (result.captures, len(result.rows), result.exit_code) == (1, 3, 70)
+    assert [(f.capture, f.error) for f in result.failures] == [
+        ("too_large", "OutOfMemoryError"),
+        ("endless", "InternalError"),
+        ("", "InternalError"),
+    ]
+    assert "OverflowError" in result.failures[1].message
+    assert len(read_csv(tmp_path / "failures.csv")) == 3
+    assert len(read_csv(tmp_path / "measurements.csv")) == 3
+
+
+def test_a_picture_that_cannot_be_written_costs_no_row(tmp_path: Path) -> None:
+    (tmp_path / "overlays" / f"{ROW_A}.png").mkdir(parents=True)
+    options = MeasureOptions(methods=(MethodName.M1,))
+    result = measure_inputs([example_captures() / ROW_A], tmp_path, options)
+    assert (result.captures, len(result.rows), result.exit_code) == (1, 3, 1)
+    assert [f.error for f in result.failures] == ["FileError"]
+    assert "Is a directory" in result.failures[0].message
+
+
+@pytest.mark.parametrize(
+    ("unit_m", "note"),
+    [(0.01, "is one step of depth really 1 mm? --depth-unit 0.0001, 0.0002"), (0.001, None)],
+)
+def test_a_batch_whose_lengths_are_all_impossible_says_what_would_explain_it(
+    tmp_path: Path, unit_m: float, note: str | None
+) -> None:
+    # Depth in tenths of a millimetre, read as millimetres; the fruit lie at 4.2 m then.
+    folder = tmp_path / "in"
+    capture = next(iter(open_source(example_captures() / ROW_A).refs())).load()
+    small = replace(capture, depth_m=capture.depth_m * np.float32(unit_m / 0.001), masks=())
+    far = np.where(small.depth_m < 5.5, small.depth_m * np.float32(0.85), 0).astype(np.float32)
+    write_native(replace(small, depth_m=far if note else small.depth_m), folder)
+    boxes = tmp_path / "boxes.json"
+    box = [180.0, 85.0, 80.0, 295.0]
+    image = {"id": 1, "file_name": capture.name}
+    annotation = {"id": 1, "image_id": 1, "category_id": 1, "bbox": box}
+    boxes.write_text(json.dumps({"images": [image], "annotations": [annotation]}))
+    result = measure_inputs([folder], tmp_path / "out", MeasureOptions(instances=str(boxes)))
+    (row,) = result.rows
+    assert (row["length_cm"] is None) == (note is not None)
+    assert (row["reason"] == "implausible-length") == (note is not None)
+    assert bool(result.notes) == (note is not None)
+    if note:
+        assert row["interval_low_cm"] is None
+        assert str(row["fallback"]).endswith(":out-of-range")
+        assert note in result.notes[0]

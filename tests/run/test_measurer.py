@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from tests.calibration.test_calibration_file_calibrated import entry, site
+from tests.accuracy.test_calibration_file_calibrated import entry, site
 
 from cucumbervision.accuracy.calibration_file import (
     write_site_calibration,

@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from tests.calibration.test_grid import grid_capture
+from tests.accuracy.test_grid import grid_capture
 
 from cucumbervision.accuracy.calibration_file import SiteCalibration, read_site_calibration
 from cucumbervision.accuracy.own_truth import evaluate_lengths

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.lab.training.conftest import write_set
+from tests.lab.train.conftest import write_set
 from typer.testing import CliRunner
 
 from cucumbervision.capture.pictures import write_png

@@ -13,7 +13,7 @@ import pytest
 if importlib.util.find_spec("ultralytics") is None:
     pytest.skip("needs the extra 'train'", allow_module_level=True)
 
-from tests.lab.training.conftest import QUICK
+from tests.lab.train.conftest import QUICK
 
 from cucumbervision.errors import ModelError, TrainingError
 from cucumbervision.networks.runtime import open_network

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from tests.capsules import capsule_capture, lying
 from tests.robustness.damage import damaged
 
-from cucumbervision import measure_fruit
+from cucumbervision import crop, measure_fruit
 from cucumbervision.accuracy.truth import floor_of, read_truth
 from cucumbervision.capture.camera_file import read_camera_file
 from cucumbervision.capture.frames import Capture, Stop

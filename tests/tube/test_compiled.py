@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from tests.tube.test_tube_fit import surface, tangent_rays
+from tests.tube.test_fit import surface, tangent_rays
 
 from cucumbervision.tube import compiled as tube_kernel
 from cucumbervision.tube.compiled import Contacts, Fit, call

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from tests.tube.test_tube_fit import FAR, RADIUS, body, surface, tangent_rays
+from tests.tube.test_fit import FAR, RADIUS, body, surface, tangent_rays
 
 from cucumbervision.tube.evidence import depth_gaps, end_overhangs, ends_seen, gaps
 from cucumbervision.tube.shape import shape_from_curve

@@ -140,6 +140,9 @@ def distances_inside(
     import cv2
 
     inside = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    inside = np.minimum(
+        inside, np.float32(sum(mask.shape))
+    )  # OpenCV's largest number without an unset pixel
     if pixels is not None:
         inside = inside[pixels[:, 1], pixels[:, 0]]
     # OpenCV's square roots differ in the last bit between calls; the squares are integers.

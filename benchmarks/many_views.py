@@ -25,12 +25,7 @@ from cucumbervision.capture.frames import Capture, median_depth
 from cucumbervision.fruit.instance import Instance, MaskSource
 from cucumbervision.fruit.masks import box_of_mask
 from cucumbervision.methods.matching import pooled_length
-from cucumbervision.methods.result import (
-    INTERVAL_Z,
-    LengthDefinition,
-    MethodName,
-    Selector,
-)
+from cucumbervision.methods.result import INTERVAL_Z, LengthDefinition, MethodName, Selector
 from cucumbervision.methods.selector import measure_fruit
 from cucumbervision.run.finders import make_finder
 from cucumbervision.run.options import MeasureOptions

@@ -88,9 +88,7 @@ class MarkedLengths:
 
 
 def camera_over(
-    matrix: NDArray[np.float64],
-    distortion: NDArray[np.float64],
-    grid: NDArray[np.float64],
+    matrix: NDArray[np.float64], distortion: NDArray[np.float64], grid: NDArray[np.float64]
 ) -> PlaneCamera:
     """Return the camera that sees known points (N, 4: u, v in pixels, x, y in cm) of a plane."""
     pixels, places = grid[:, :2].copy(), np.c_[grid[:, 2:], np.zeros(len(grid))]

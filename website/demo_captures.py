@@ -238,10 +238,7 @@ def _draw_scene(
 
 
 def _light(
-    demo: DemoScene,
-    scene: Scene,
-    leaf_roles: tuple[str, ...],
-    stem_roles: tuple[str, ...],
+    demo: DemoScene, scene: Scene, leaf_roles: tuple[str, ...], stem_roles: tuple[str, ...]
 ) -> NDArray[np.float32]:
     rng = np.random.default_rng([demo.seed, demo.color_seed])
     style = random_style(

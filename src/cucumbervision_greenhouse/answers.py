@@ -35,9 +35,7 @@ class Sent(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 
-def answer(
-    work: Callable[[Request, Any], Any],
-) -> Callable[[Request], Awaitable[Response]]:
+def answer(work: Callable[[Request, Any], Any]) -> Callable[[Request], Awaitable[Response]]:
     """Make a route from a function of a request and its content, and send its result as JSON.
 
     A named error is answered in one line for people, with status 409, and its fault in English; a

@@ -25,10 +25,7 @@ if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
     from cucumbervision.capture.intrinsics import Intrinsics
     from cucumbervision_greenhouse.settings import Units
-    from cucumbervision_greenhouse.store.records import (
-        CaptureRecord,
-        FruitRow,
-    )
+    from cucumbervision_greenhouse.store.records import CaptureRecord, FruitRow
 
 CLASS_GREENS = ("#1B7837", "#5AAE61", "#A6DBA0")
 """Colours of a class, the best darkest."""
@@ -136,10 +133,7 @@ def fruit_layers(record: FruitRow, camera: Intrinsics) -> list[dict[str, Any]]:
 
 
 def stop_layers(
-    capture: CaptureRecord,
-    fruit: Sequence[FruitRow],
-    grades: Mapping[str, str],
-    units: Units,
+    capture: CaptureRecord, fruit: Sequence[FruitRow], grades: Mapping[str, str], units: Units
 ) -> list[dict[str, Any]]:
     """Return all fruit of a capture as layers, one a class, each fruit with its length.
 

@@ -13,12 +13,7 @@ import numpy as np
 from cucumbervision.capture.frames import Capture, valid_depth
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
-from cucumbervision.errors import (
-    CucumberVisionError,
-    DiskFullError,
-    InstancesError,
-    StoreAwayError,
-)
+from cucumbervision.errors import CucumberVisionError, DiskFullError, InstancesError, StoreAwayError
 from cucumbervision.fruit.instance import Instance, MaskSource
 from cucumbervision.fruit.mask_codes import decode_rle
 from cucumbervision.fruit.masks import box_of_mask, mask_iou
@@ -180,10 +175,7 @@ class SharedMeasurer:
         return _some(segmented.mask)
 
     def mask_of(
-        self,
-        capture: Capture,
-        point: Sequence[float] | None,
-        box: Sequence[float] | None,
+        self, capture: Capture, point: Sequence[float] | None, box: Sequence[float] | None
     ) -> NDArray[np.bool_]:
         """Return the mask of the fruit at a point, or in a box where none is given.
 

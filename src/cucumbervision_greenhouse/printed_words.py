@@ -6,12 +6,7 @@ import re
 from datetime import date
 
 from cucumbervision_greenhouse.exports.page_words import PageWords
-from cucumbervision_greenhouse.language import (
-    day_month_words,
-    decimal_words,
-    language,
-    marked,
-)
+from cucumbervision_greenhouse.language import day_month_words, decimal_words, language, marked
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.resources import crop_titles, settings
 from cucumbervision_greenhouse.words import hours_words, label_words

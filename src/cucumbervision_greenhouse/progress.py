@@ -78,9 +78,7 @@ class Progress:
             elsewhere = ""
             if self.elsewhere:
                 elsewhere = counted(
-                    self.elsewhere,
-                    "{n} of other rounds waits too",
-                    "{n} of other rounds wait too",
+                    self.elsewhere, "{n} of other rounds waits too", "{n} of other rounds wait too"
                 )
             return "; ".join(filter(None, (captures, elsewhere)))
         if self.title:

@@ -12,13 +12,7 @@ import streamlit as st
 from cucumbervision.capture.frames import Capture
 from cucumbervision_greenhouse.forecast.forecast import Forecast
 from cucumbervision_greenhouse.fruit_pictures import as_data_url, crop
-from cucumbervision_greenhouse.resources import (
-    KEPT,
-    profile_of,
-    rounds,
-    store,
-    worker,
-)
+from cucumbervision_greenhouse.resources import KEPT, profile_of, rounds, store, worker
 from cucumbervision_greenhouse.round_tables import GradedRound, grade_round, map_lines
 from cucumbervision_greenhouse.rounds.data_doubts import round_doubts
 from cucumbervision_greenhouse.rounds.day_comparison import (
@@ -35,10 +29,7 @@ from cucumbervision_greenhouse.rounds.forecasting import (
 )
 from cucumbervision_greenhouse.rounds.from_store import RoundContent, read_round
 from cucumbervision_greenhouse.rounds.fruit_table import fruit_table
-from cucumbervision_greenhouse.rounds.merge_and_link import (
-    DAY_S,
-    earlier_rounds,
-)
+from cucumbervision_greenhouse.rounds.merge_and_link import DAY_S, earlier_rounds
 from cucumbervision_greenhouse.rounds.stop_records import stored_capture
 from cucumbervision_greenhouse.settings import Units
 from cucumbervision_greenhouse.store.records import (
@@ -64,10 +55,7 @@ def news(round_key: str) -> dict[str, Any]:
         The open round; its `version` changes whenever one of its pages would.
     """
     round_summary = store().round(round_key)
-    counts = (
-        worker().finished,
-        0 if round_summary is None else hash(_version(round_summary)),
-    )
+    counts = (worker().finished, 0 if round_summary is None else hash(_version(round_summary)))
     return {
         "version": f"{counts[0]}-{counts[1]}",
         "now_s": time.time(),
@@ -89,7 +77,7 @@ def _measured_version(round_summary: Round) -> tuple[object, ...]:
 _HASH_OF_ROUND: dict[str | type[Any], Callable[[Any], Any]] = {Round: _version}
 _HASH_OF_WORDS = _HASH_OF_ROUND | {Units: lambda units: units.name}
 _HASH_OF_FRUIT: dict[str | type[Any], Callable[[Any], Any]] = {
-    FruitRow: lambda view: (view.key, view.corrected, view.box_x1_px),
+    FruitRow: lambda view: (view.key, view.corrected, view.box_x1_px)
 }
 
 
@@ -176,10 +164,7 @@ def _unpicked_version(round_summary: Round) -> tuple[object, ...]:
 
 
 @st.cache_resource(
-    show_spinner="Forecasting …",
-    max_entries=KEPT,
-    ttl=3600,
-    hash_funcs={Round: _unpicked_version},
+    show_spinner="Forecasting …", max_entries=KEPT, ttl=3600, hash_funcs={Round: _unpicked_version}
 )
 def today_of(round_summary: Round) -> Today:
     """Return a round's figures of today, including the fruit that were picked today."""

@@ -13,11 +13,7 @@ from pathlib import Path
 
 from cucumbervision.access import TOKEN_VARIABLE, check_access
 from cucumbervision.errors import CucumberVisionError, MissingExtraError
-from cucumbervision_greenhouse.settings import (
-    LOGIN_VARIABLE,
-    REPLAY_VARIABLE,
-    STORE_VARIABLE,
-)
+from cucumbervision_greenhouse.settings import LOGIN_VARIABLE, REPLAY_VARIABLE, STORE_VARIABLE
 
 _BROWSER_S = 1.0  # until the server listens
 

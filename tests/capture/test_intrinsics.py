@@ -3,12 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cucumbervision.capture.intrinsics import (
-    Intrinsics,
-    Stream,
-    check_intrinsics,
-    is_off_centre,
-)
+from cucumbervision.capture.intrinsics import Intrinsics, Stream, check_intrinsics, is_off_centre
 from cucumbervision.errors import IntrinsicsError
 from cucumbervision.tube.camera import Distortion
 

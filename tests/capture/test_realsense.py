@@ -19,12 +19,7 @@ from cucumbervision.capture.intrinsics import Stream
 from cucumbervision.capture.readers import ReadOptions, open_source
 from cucumbervision.capture.realsense import AlignedStream, CameraConfig, RealSenseCamera, play_file
 from cucumbervision.capture.realsense_device import camera_fault
-from cucumbervision.errors import (
-    CameraError,
-    CaptureError,
-    IntrinsicsError,
-    MissingExtraError,
-)
+from cucumbervision.errors import CameraError, CaptureError, IntrinsicsError, MissingExtraError
 from cucumbervision.tube.camera import Distortion, align_depth_to_color
 
 pytest.importorskip("pyrealsense2", exc_type=ImportError)
@@ -55,11 +50,7 @@ def test_recording_becomes_bursts(recording: Path, scene: Callable[[int], tuple[
     first = captures[0]
     assert first.intrinsics.stream is Stream.COLOR
     np.testing.assert_allclose(first.intrinsics.matrix, COLOR_K, rtol=1e-6)
-    assert first.provenance == {
-        "reader": "recording",
-        "camera": "Software D435",
-        "serial": "0042",
-    }
+    assert first.provenance == {"reader": "recording", "camera": "Software D435", "serial": "0042"}
     # The software device's clock: 33.3 ms a frame, of the third.
     assert first.timestamp_s == pytest.approx(0.0999)
 

@@ -7,13 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cucumbervision.capture.frames import Capture
-from cucumbervision.capture.source import (
-    CaptureSource,
-    Folder,
-    fail,
-    safe_name,
-    unique_name,
-)
+from cucumbervision.capture.source import CaptureSource, Folder, fail, safe_name, unique_name
 from cucumbervision.errors import CaptureError
 
 
@@ -37,10 +31,7 @@ def test_files_that_systems_add_are_no_files() -> None:
 def test_each_file_is_taken_once() -> None:
     folder = named("capture.json", "color.png", "masks/0.png", "b/capture.json", "b/masks/1.png")
     taken = folder.take("capture.json", "", "masks")
-    assert taken == {
-        "": {"": ["color.png"], "masks": ["0.png"]},
-        "b": {"": [], "masks": ["1.png"]},
-    }
+    assert taken == {"": {"": ["color.png"], "masks": ["0.png"]}, "b": {"": [], "masks": ["1.png"]}}
     assert list(folder) == []
     assert folder.take("capture.json", "") == {}
     assert folder.kinds() == "no file"

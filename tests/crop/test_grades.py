@@ -5,13 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cucumbervision.crop.grades import (
-    UNDECIDED,
-    GradeStatus,
-    GradingTraits,
-    grade,
-    share_below,
-)
+from cucumbervision.crop.grades import UNDECIDED, GradeStatus, GradingTraits, grade, share_below
 from cucumbervision.crop.profiles import load_profile
 from cucumbervision.methods.flags import LOWER_BOUND, NO_DEPTH, Flag
 from cucumbervision.methods.result import Length, LengthDefinition, LengthKind
@@ -151,13 +145,7 @@ def test_a_fruit_whose_interval_spans_several_classes_is_undecided(
 @pytest.mark.parametrize("flag", sorted(LOWER_BOUND))
 @pytest.mark.parametrize(
     ("length_cm", "words"),
-    [
-        (13.0, PART),
-        (17.1, PART),
-        (21.0, PART),
-        (26.0, PART),
-        (36.0, "too long"),
-    ],
+    [(13.0, PART), (17.1, PART), (21.0, PART), (26.0, PART), (36.0, "too long")],
 )
 def test_a_lower_bound_is_never_too_short(flag: Flag, length_cm: float, words: str) -> None:
     """Not even where the model of intervals puts the whole fruit's length into one class."""

@@ -201,11 +201,7 @@ def reply(node: ModuleType) -> dict[str, Any]:
         answered = work.measure(sent)
         return io.BytesIO(json.dumps(answered.model_dump(mode="json")).encode())
 
-    arrays = {
-        "color": capture.color,
-        "depth": capture.depth_m,
-        "matrix": capture.intrinsics.matrix,
-    }
+    arrays = {"color": capture.color, "depth": capture.depth_m, "matrix": capture.intrinsics.matrix}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(node.urllib.request, "urlopen", answer)
         found: dict[str, Any] = node.ask("http://127.0.0.1:8600", arrays)

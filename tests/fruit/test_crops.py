@@ -3,12 +3,7 @@
 import numpy as np
 import pytest
 
-from cucumbervision.fruit.crops import (
-    HEIGHT_PX,
-    WIDTH_PX,
-    FruitCrop,
-    fruit_crop,
-)
+from cucumbervision.fruit.crops import HEIGHT_PX, WIDTH_PX, FruitCrop, fruit_crop
 from cucumbervision.fruit.masks import mask_iou
 
 SHAPE = (480, 640)

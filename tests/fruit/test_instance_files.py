@@ -126,10 +126,7 @@ def test_ids_count_only_where_a_file_has_no_names(tmp_path: Path) -> None:
 
 
 def test_what_has_no_counterpart_is_listed(tmp_path: Path) -> None:
-    path = coco(
-        tmp_path / "c.json",
-        {"bbox": [2, 1, 5, 4]},
-    )
+    path = coco(tmp_path / "c.json", {"bbox": [2, 1, 5, 4]})
     data = json.loads(path.read_text())
     data["annotations"].append({"id": 9, "image_id": 99, "category_id": 3, "bbox": [1, 1, 2, 2]})
     path.write_text(json.dumps(data))

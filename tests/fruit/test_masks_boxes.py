@@ -3,12 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cucumbervision.fruit.masks import (
-    box_iou,
-    box_ious,
-    share_inside,
-    suppress,
-)
+from cucumbervision.fruit.masks import box_iou, box_ious, share_inside, suppress
 
 
 def test_overlap_of_boxes() -> None:

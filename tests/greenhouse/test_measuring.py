@@ -30,11 +30,7 @@ from cucumbervision.methods.flags import Flag
 from cucumbervision.networks.registry import load_registry
 from cucumbervision.run.options import MeasureOptions
 from cucumbervision_greenhouse.jobs import Job
-from cucumbervision_greenhouse.measuring import (
-    SharedMeasurer,
-    is_doubtful,
-    measure_waiting,
-)
+from cucumbervision_greenhouse.measuring import SharedMeasurer, is_doubtful, measure_waiting
 from cucumbervision_greenhouse.round_tables import doubtful
 from cucumbervision_greenhouse.rounds.forecasting import fruit_states
 from cucumbervision_greenhouse.rounds.fruit_table import hanging_lengths_m

@@ -14,12 +14,7 @@ import pytest
 from pydantic import ValidationError
 
 from cucumbervision.capture.source import ReadOptions, example_captures
-from cucumbervision.errors import (
-    CucumberVisionError,
-    DiskFullError,
-    StoreAwayError,
-    UploadError,
-)
+from cucumbervision.errors import CucumberVisionError, DiskFullError, StoreAwayError, UploadError
 from cucumbervision.networks.registry import load_registry
 from cucumbervision.run.options import MeasureOptions
 from cucumbervision_greenhouse.jobs import Job

@@ -89,8 +89,7 @@ def test_what_is_expected_to_be_missing_moves_the_interval() -> None:
 
 
 @pytest.mark.parametrize(
-    ("definition", "percent"),
-    [(LengthDefinition.CENTRELINE, 1.0), (LengthDefinition.THREAD, 2.0)],
+    ("definition", "percent"), [(LengthDefinition.CENTRELINE, 1.0), (LengthDefinition.THREAD, 2.0)]
 )
 def test_a_tubes_interval_is_about_the_length_that_was_asked(
     seen: tuple[Capture, Instance], definition: LengthDefinition, percent: float
@@ -117,10 +116,7 @@ def test_a_raw_lengths_interval_is_about_the_centreline(seen: tuple[Capture, Ins
     capture, instance = seen
     boxed = replace(instance, mask=None, mask_source=None)
     length = length_of((capture, boxed))
-    assert (length.kind, length.interval_of) == (
-        LengthKind.BOX_CHORD,
-        LengthDefinition.CENTRELINE,
-    )
+    assert (length.kind, length.interval_of) == (LengthKind.BOX_CHORD, LengthDefinition.CENTRELINE)
     assert length.high_m == pytest.approx(length.value_m * np.exp(half(20.0)))
 
 

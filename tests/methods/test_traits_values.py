@@ -47,10 +47,7 @@ def measured(capture: Capture, *traits: TableTrait) -> CaptureResult:
     return Measurer(OPTIONS, plug_ins=PlugIns(traits=traits)).measure(capture)
 
 
-@pytest.mark.parametrize(
-    "answer",
-    ["soft", 1 + 2j, float("inf"), SystemExit(0)],
-)
+@pytest.mark.parametrize("answer", ["soft", 1 + 2j, float("inf"), SystemExit(0)])
 def test_what_is_no_finite_number_is_a_failure_of_its_own(answer: Any, capture: Capture) -> None:
     result = measured(capture, TableTrait("firmness", "", "says", giving(answer)))
     assert len(result.fruit) == 2

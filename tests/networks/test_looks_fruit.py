@@ -113,11 +113,7 @@ def fruit_network(path: Path) -> Path:
         helper.make_node("Add", ["none", "line"], ["points"]),
         helper.make_node("Add", ["nothing", "sure"], ["verdict"]),
     ]
-    shapes = {
-        "outline": ["n", HEIGHT_PX, WIDTH_PX],
-        "points": ["n", 5, 3],
-        "verdict": ["n", 2],
-    }
+    shapes = {"outline": ["n", HEIGHT_PX, WIDTH_PX], "points": ["n", 5, 3], "verdict": ["n", 2]}
     graph = helper.make_graph(
         nodes,
         "fruit",

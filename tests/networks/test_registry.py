@@ -6,12 +6,7 @@ import pytest
 
 from cucumbervision.errors import ModelError, ModelHashError, UnknownModelError
 from cucumbervision.networks.loaded import open_segmenter
-from cucumbervision.networks.registry import (
-    Registry,
-    file_sha256,
-    load_registry,
-    models_folder,
-)
+from cucumbervision.networks.registry import Registry, file_sha256, load_registry, models_folder
 from cucumbervision.networks.runtime import open_network
 
 # SHA-256 of b"abc", from FIPS 180-2, appendix B.1.

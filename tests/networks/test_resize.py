@@ -64,10 +64,7 @@ def test_boxes_and_points_are_clipped_to_the_picture() -> None:
 def test_corners_come_back_exactly(height: int, width: int, size: int) -> None:
     box = fit(height, width, (size, size))
     corners = np.array(
-        [
-            [box.left_px, box.top_px],
-            [box.left_px + box.inner_width, box.top_px + box.inner_height],
-        ]
+        [[box.left_px, box.top_px], [box.left_px + box.inner_width, box.top_px + box.inner_height]]
     )
     expected = [[-0.5, -0.5], [width - 0.5, height - 0.5]]
     assert np.allclose(box.points_back(corners), expected, atol=1e-9)

@@ -109,11 +109,7 @@ def tables() -> dict[str, bytes]:
     text = "\n".join(lines)
     german = text.replace(",", ";").replace(".", ",").encode("utf-8-sig")
     profile = Path(crop.__file__).parent / "crops" / "long-cucumber.toml"
-    return {
-        "truth.csv": text.encode(),
-        "german.csv": german,
-        "profile.toml": profile.read_bytes(),
-    }
+    return {"truth.csv": text.encode(), "german.csv": german, "profile.toml": profile.read_bytes()}
 
 
 def bop() -> dict[str, bytes]:

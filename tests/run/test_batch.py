@@ -13,12 +13,7 @@ import pytest
 
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.readers import open_source
-from cucumbervision.capture.source import (
-    CaptureRef,
-    CaptureSource,
-    ReadOptions,
-    example_captures,
-)
+from cucumbervision.capture.source import CaptureRef, CaptureSource, ReadOptions, example_captures
 from cucumbervision.errors import CaptureError, CucumberVisionError
 from cucumbervision.methods.result import MethodName
 from cucumbervision.run.batch import (

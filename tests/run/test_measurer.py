@@ -10,24 +10,15 @@ import numpy as np
 import pytest
 from tests.accuracy.test_calibration_file_calibrated import entry, site
 
-from cucumbervision.accuracy.calibration_file import (
-    write_site_calibration,
-)
+from cucumbervision.accuracy.calibration_file import write_site_calibration
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import DiskFullError
-from cucumbervision.methods.result import (
-    MethodName,
-)
+from cucumbervision.methods.result import MethodName
 from cucumbervision.networks.registry import Registry
-from cucumbervision.run.measurer import (
-    Boundary,
-    Failure,
-    Measurer,
-    exit_code,
-)
+from cucumbervision.run.measurer import Boundary, Failure, Measurer, exit_code
 from cucumbervision.run.options import MeasureOptions
 from cucumbervision.run.whole_run import measure_inputs
 

@@ -15,12 +15,7 @@ import pytest
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.readers.native import write_native
-from cucumbervision.capture.source import (
-    CaptureRef,
-    CaptureSource,
-    ReadOptions,
-    example_captures,
-)
+from cucumbervision.capture.source import CaptureRef, CaptureSource, ReadOptions, example_captures
 from cucumbervision.errors import CucumberVisionError, InstancesError, UnknownModelError
 from cucumbervision.files import cell_value
 from cucumbervision.methods.result import MethodName

@@ -41,10 +41,7 @@ class Watched:
         self.measured: list[str] = []
 
     def __call__(
-        self,
-        options: MeasureOptions = OPTIONS,
-        batch: BatchOptions | None = None,
-        *inputs: Path,
+        self, options: MeasureOptions = OPTIONS, batch: BatchOptions | None = None, *inputs: Path
     ) -> RunResult:
         self.measured.clear()
         return measure_inputs(inputs or [self.house], self.out, options, self._note, batch)

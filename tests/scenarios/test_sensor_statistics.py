@@ -4,11 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.scenarios.sensor_statistics import (
-    noise_split,
-    plane_residuals,
-    residual_at,
-)
+from tests.scenarios.sensor_statistics import noise_split, plane_residuals, residual_at
 
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers import open_source

@@ -182,10 +182,7 @@ def test_refusals_say_why_in_one_form(client: TestClient) -> None:
         (client.post("/measure"), 422),
         (client.get("/measure"), 405),
         (client.get("/nowhere"), 404),
-        (
-            client.post("/measure", content=b"x", headers=no_border),
-            400,
-        ),
+        (client.post("/measure", content=b"x", headers=no_border), 400),
     ):
         assert reply.status_code == status
         assert set(reply.json()) == {"error", "message"}

@@ -12,12 +12,7 @@ from starlette.datastructures import Headers
 from starlette.exceptions import HTTPException
 
 from cucumbervision.errors import AccessError
-from cucumbervision.service.requests import (
-    RequestError,
-    bounded,
-    check_source,
-    parse_place,
-)
+from cucumbervision.service.requests import RequestError, bounded, check_source, parse_place
 
 
 @pytest.mark.parametrize(

@@ -192,9 +192,7 @@ class AcceptedUploads:
 
 
 def accept_uploads(
-    files: Sequence[tuple[str, BinaryIO | Path]],
-    folder: Path,
-    limits: Limits | None = None,
+    files: Sequence[tuple[str, BinaryIO | Path]], folder: Path, limits: Limits | None = None
 ) -> AcceptedUploads:
     """Store uploaded files within limits, unpack zips, and find the captures.
 

@@ -172,8 +172,7 @@ def measure_options(
 
 def loop_options(
     workers: Annotated[
-        int,
-        typer.Option(min=0, help="Number of processes; default: 1, with Ray one per CPU."),
+        int, typer.Option(min=0, help="Number of processes; default: 1, with Ray one per CPU.")
     ] = 0,
     ray: Annotated[
         str,

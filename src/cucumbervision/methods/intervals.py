@@ -15,12 +15,7 @@ from cucumbervision.files import read_json
 from cucumbervision.fruit.instance import MaskSource
 from cucumbervision.methods.flags import LOWER_BOUND, NO_DEPTH, Flag
 from cucumbervision.methods.hidden_end import DRAWN_KINDS
-from cucumbervision.methods.result import (
-    IntervalBasis,
-    Length,
-    LengthDefinition,
-    calibration_key,
-)
+from cucumbervision.methods.result import IntervalBasis, Length, LengthDefinition, calibration_key
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -28,13 +28,7 @@ from cucumbervision.methods.result import (
     Selector,
     calibration_key,
 )
-from cucumbervision.methods.table import (
-    AVAILABLE,
-    Region,
-    TableMethod,
-    box_pixels,
-    run_methods,
-)
+from cucumbervision.methods.table import AVAILABLE, Region, TableMethod, box_pixels, run_methods
 from cucumbervision.threads import OneThread
 
 if TYPE_CHECKING:

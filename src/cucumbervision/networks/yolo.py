@@ -11,11 +11,7 @@ import numpy as np
 from cucumbervision.errors import ModelError
 from cucumbervision.fruit.instance import TRUSTED_SHARE, UNKNOWN_ORDER, Instance
 from cucumbervision.fruit.masks import box_ious
-from cucumbervision.networks.confidence import (
-    DEFAULT_CONFIDENCE,
-    LARGEST_INPUT_PX,
-    detector_floor,
-)
+from cucumbervision.networks.confidence import DEFAULT_CONFIDENCE, LARGEST_INPUT_PX, detector_floor
 from cucumbervision.networks.resize import Letterbox, fit
 from cucumbervision.networks.runtime import Network, open_network
 from cucumbervision.networks.yolo_layout import (

@@ -24,13 +24,7 @@ from cucumbervision.capture.readers import open_source
 from cucumbervision.errors import CaptureError
 from cucumbervision.networks.runtime import limit_threads
 from cucumbervision.run.inputs import Listed
-from cucumbervision.run.measurer import (
-    Boundary,
-    CaptureResult,
-    DetectedCapture,
-    Failure,
-    Measurer,
-)
+from cucumbervision.run.measurer import Boundary, CaptureResult, DetectedCapture, Failure, Measurer
 
 if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture

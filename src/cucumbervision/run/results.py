@@ -19,13 +19,7 @@ from cucumbervision.run.batch import Item, ResultWorker, measure_all
 from cucumbervision.run.fields import FIELDS
 from cucumbervision.run.finders import instance_notes
 from cucumbervision.run.inputs import Listed, list_captures
-from cucumbervision.run.measurer import (
-    Boundary,
-    CaptureResult,
-    Failure,
-    Measurer,
-    plugin_failures,
-)
+from cucumbervision.run.measurer import Boundary, CaptureResult, Failure, Measurer, plugin_failures
 from cucumbervision.run.options import MeasureOptions
 from cucumbervision.run.plugged import PlugIns
 

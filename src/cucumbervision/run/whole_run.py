@@ -15,14 +15,7 @@ import numpy as np
 
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.files import as_path, each_file_read_once, json_value, read_bytes
-from cucumbervision.run.batch import (
-    Item,
-    LoopOptions,
-    Outcome,
-    ReadCapture,
-    Worker,
-    measure_all,
-)
+from cucumbervision.run.batch import Item, LoopOptions, Outcome, ReadCapture, Worker, measure_all
 from cucumbervision.run.finders import instance_notes
 from cucumbervision.run.folder import CaptureRecord, OutputFolder
 from cucumbervision.run.inputs import distinct, each_once, list_captures

@@ -22,12 +22,7 @@ import numpy as np
 import streamlit as st
 
 from cucumbervision.capture.frames import fuse_burst, moved_px
-from cucumbervision.capture.readers import (
-    RECORDING_SUFFIXES,
-    CaptureRef,
-    ReadOptions,
-    open_source,
-)
+from cucumbervision.capture.readers import RECORDING_SUFFIXES, CaptureRef, ReadOptions, open_source
 from cucumbervision.capture.realsense import CameraConfig, RealSenseCamera
 from cucumbervision.capture.realsense_device import CameraSettings
 from cucumbervision.capture.recorder import DepthQuality, depth_quality

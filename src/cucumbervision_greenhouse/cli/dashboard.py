@@ -29,8 +29,7 @@ def dashboard(
     login: Annotated[
         bool,
         typer.Option(
-            "--login",
-            help="Require the token on this machine too, for use behind a proxy.",
+            "--login", help="Require the token on this machine too, for use behind a proxy."
         ),
     ] = False,
 ) -> None:

@@ -186,11 +186,7 @@ def _show_added(done: Sequence[Added], *, interrupted: bool) -> int:
 
 
 @app.command(epilog=EXIT_CODES)
-@takes(
-    "options",
-    measure_options,
-    {"profile", "depth", "intrinsics", "burst"} | OF_CAMERA_FILE,
-)
+@takes("options", measure_options, {"profile", "depth", "intrinsics", "burst"} | OF_CAMERA_FILE)
 @takes("loop", loop_options)
 def remeasure(
     store: StoreName = "house.db",
@@ -226,10 +222,7 @@ def remeasure(
 
 
 @app.command("merge")
-def merge(
-    store: StoreName = "house.db",
-    round_: RoundName = "",
-) -> None:
+def merge(store: StoreName = "house.db", round_: RoundName = "") -> None:
     """Merge views of the same fruit from several stops; manual decisions are kept."""
     from cucumbervision.cli.console import columns_table, screen
     from cucumbervision_greenhouse.rounds.merge_and_link import merge_round
@@ -290,11 +283,7 @@ def link(
 
 
 @app.command()
-def show(
-    store: StoreName = "house.db",
-    round_: RoundName = "",
-    profile: Profile = None,
-) -> None:
+def show(store: StoreName = "house.db", round_: RoundName = "", profile: Profile = None) -> None:
     """Show a round's fruit by row and position."""
     from cucumbervision.cli.console import columns_table, screen
     from cucumbervision_greenhouse.rounds.from_store import read_round

@@ -39,11 +39,7 @@ if TYPE_CHECKING:
     from cucumbervision_greenhouse.forecast.forecast import Counts, Forecast
     from cucumbervision_greenhouse.forecast.picking import Rates
     from cucumbervision_greenhouse.rounds.from_store import RoundContent
-    from cucumbervision_greenhouse.store.records import (
-        ArtifactRecord,
-        FruitRow,
-        Round,
-    )
+    from cucumbervision_greenhouse.store.records import ArtifactRecord, FruitRow, Round
     from cucumbervision_greenhouse.store.repository import Store
 
 

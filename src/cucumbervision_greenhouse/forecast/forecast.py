@@ -14,11 +14,7 @@ import numpy as np
 from cucumbervision.crop.grades import NO_CLASS, possible_classes
 from cucumbervision.errors import ForecastError
 from cucumbervision.methods.result import INTERVAL_Z
-from cucumbervision_greenhouse.forecast.length_draws import (
-    FruitState,
-    draw_lengths,
-    lengths_today,
-)
+from cucumbervision_greenhouse.forecast.length_draws import FruitState, draw_lengths, lengths_today
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -26,9 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cucumbervision.crop.profiles import CropProfile
-    from cucumbervision_greenhouse.forecast.growth import (
-        Growth,
-    )
+    from cucumbervision_greenhouse.forecast.growth import Growth
 
 
 def _check_fruit(fruit: Sequence[FruitState], classes: Sequence[str]) -> None:
@@ -283,11 +277,7 @@ def forecast(
 
 
 def _possible_today(
-    fruit: Sequence[FruitState],
-    growth: Growth,
-    today: float,
-    scale_sd: float,
-    profile: CropProfile,
+    fruit: Sequence[FruitState], growth: Growth, today: float, scale_sd: float, profile: CropProfile
 ) -> tuple[tuple[str, ...], ...]:
     """Return the classes that each fruit may be in today, independently of all other fruit.
 

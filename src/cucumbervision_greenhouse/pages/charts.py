@@ -231,10 +231,7 @@ def growth_chart(lines: list[dict[str, Any]], units: Units) -> alt.LayerChart:
     point = alt.OverlayMarkDef(color=CLASS_GREENS[0], size=80)
     points = base.mark_line(point=point, color=CLASS_GREENS[0]).encode(
         y=alt.Y("length:Q", title=title, scale=alt.Scale(zero=False)),
-        tooltip=[
-            alt.Tooltip("when:N", title=_("Day")),
-            alt.Tooltip("length:Q", title=title),
-        ],
+        tooltip=[alt.Tooltip("when:N", title=_("Day")), alt.Tooltip("length:Q", title=title)],
     )
     whiskers = base.mark_rule(color=_ink()).encode(y=alt.Y("low:Q", title=title), y2="high:Q")
     chart: alt.LayerChart = _readable(whiskers + points, 220)

@@ -13,11 +13,7 @@ from cucumbervision_greenhouse.core_words import words_of
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.language import plain, sentence, told_apart
 from cucumbervision_greenhouse.pages import page_elements
-from cucumbervision_greenhouse.pages.crop_limits import (
-    CropLimits,
-    class_counts,
-    save_own_profile,
-)
+from cucumbervision_greenhouse.pages.crop_limits import CropLimits, class_counts, save_own_profile
 from cucumbervision_greenhouse.rounds.fruit_table import on_the_plant
 from cucumbervision_greenhouse.words import class_words, label_words, round_name
 

@@ -98,10 +98,7 @@ class CropLimits:
             length_class["min_cm"], length_class["max_cm"] = limits[length_class["name"]]
         for band, arc in zip(content["shape"], self.arc_mm_per_10cm, strict=False):
             band["max_mm_per_10cm"] = arc
-        optional = {
-            "minimum_diameter_mm": self.minimum_diameter_mm,
-            "minimum_g": self.minimum_g,
-        }
+        optional = {"minimum_diameter_mm": self.minimum_diameter_mm, "minimum_g": self.minimum_g}
         content |= {
             "title": title or profile.title,
             "pick": list(self.pick),

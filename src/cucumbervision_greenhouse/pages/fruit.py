@@ -323,11 +323,7 @@ def _methods(detail: DetectionDetail) -> None:
                 st.write(plain(f"{when}, {action.by or _('unnamed')}: {action.kind}{undone}"))
 
 
-def _show_stops(
-    round_summary: Round,
-    fruit: FruitRow,
-    line: FruitRow | None,
-) -> None:
+def _show_stops(round_summary: Round, fruit: FruitRow, line: FruitRow | None) -> None:
     """Draw the views of a fruit, the representative one first; nothing if there is only one.
 
     Parameters

@@ -95,9 +95,7 @@ def _fruit_pixels(
     return inside, around
 
 
-def _marked_places(
-    record: FruitRow,
-) -> list[tuple[NDArray[np.float64], tuple[int, int, int]]]:
+def _marked_places(record: FruitRow) -> list[tuple[NDArray[np.float64], tuple[int, int, int]]]:
     """Return the two ends and the place to cut, where they are known, each with its colour."""
     places = []
     for name, color in (("stem", _END_COLOR), ("blossom", _END_COLOR), ("cut", _CUT_COLOR)):
@@ -154,9 +152,7 @@ def _scene(
     return pydeck.Deck(layers, [view], initial_view_state=turned, map_provider=None, map_style=None)
 
 
-def _tube_lines(
-    record: FruitRow,
-) -> list[tuple[NDArray[np.float64], tuple[int, int, int], float]]:
+def _tube_lines(record: FruitRow) -> list[tuple[NDArray[np.float64], tuple[int, int, int], float]]:
     """Return rings and axis of the fitted tube, each with its colour and width."""
     if not record.diameter_m:
         return []

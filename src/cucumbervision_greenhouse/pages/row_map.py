@@ -83,11 +83,7 @@ def _maps(round_summary: Round, opened: FruitRow | None) -> None:
                 round_summary,
                 row,
                 layers,
-                {
-                    "row": row,
-                    "grid": grid,
-                    "opened": opened_here and _answer(graded, opened_here),
-                },
+                {"row": row, "grid": grid, "opened": opened_here and _answer(graded, opened_here)},
             )
     st.caption(
         _(

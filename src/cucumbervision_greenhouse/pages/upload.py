@@ -27,10 +27,7 @@ if TYPE_CHECKING:
 
 _SHOWN = 5  # uploads whose outcomes are shown
 
-_ENDINGS = [
-    *("zip", "json", "csv", "raw"),
-    *("png", "jpg", "jpeg", "tif", "tiff", "npy"),
-]
+_ENDINGS = [*("zip", "json", "csv", "raw"), *("png", "jpg", "jpeg", "tif", "tiff", "npy")]
 
 
 @page_elements.of_round

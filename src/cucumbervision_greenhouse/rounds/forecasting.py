@@ -78,10 +78,7 @@ def shared_scale_sd(artifacts: Iterable[Sequence[ArtifactRecord]]) -> float:
 
 
 def fruit_states(
-    table: Sequence[FruitRow],
-    day: float,
-    profile: CropProfile,
-    picked_before_s: float = math.inf,
+    table: Sequence[FruitRow], day: float, profile: CropProfile, picked_before_s: float = math.inf
 ) -> list[FruitState]:
     """Return a round's measured fruit as the forecast takes them; picked ones are marked.
 

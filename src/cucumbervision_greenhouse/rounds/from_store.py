@@ -26,11 +26,7 @@ if TYPE_CHECKING:
 
     from cucumbervision_greenhouse.rounds.row_views import Ints
     from cucumbervision_greenhouse.store.links import LinkRecord
-    from cucumbervision_greenhouse.store.records import (
-        FruitRow,
-        Round,
-        StopRecord,
-    )
+    from cucumbervision_greenhouse.store.records import FruitRow, Round, StopRecord
     from cucumbervision_greenhouse.store.repository import Store
 
 _CAMERA_SD_M = 0.03  # standard deviation of a camera from its usual height and distance
@@ -181,11 +177,7 @@ def _reach(camera: Mapping[str, Any]) -> tuple[float, float]:
     return width / 2 / fx, height / 2 / fy
 
 
-def _row(
-    name: str,
-    stops: Sequence[StopRecord],
-    fruit: Sequence[FruitRow],
-) -> StoredRow:
+def _row(name: str, stops: Sequence[StopRecord], fruit: Sequence[FruitRow]) -> StoredRow:
     sides = tuple(sorted({stop.side or "" for stop in stops}))
     if len(sides) > 2:
         raise RoundError(
@@ -215,9 +207,7 @@ def _row(
 
 
 def _row_stops(
-    stops: Sequence[StopRecord],
-    sides: tuple[str, ...],
-    poses: Mapping[str, NDArray[np.float64]],
+    stops: Sequence[StopRecord], sides: tuple[str, ...], poses: Mapping[str, NDArray[np.float64]]
 ) -> RowStops:
     """Return stops with a position as arrays; a stop's pose gives the camera's height."""
     at_m, sd_m = np.zeros((len(stops), 3)), np.full((len(stops), 3), _CAMERA_SD_M)

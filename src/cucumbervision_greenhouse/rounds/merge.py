@@ -215,11 +215,7 @@ class Merged:
         return np.asarray(self.stops.at_m[views.stop] + views.offset_m)
 
 
-def merge_row(
-    stops: RowStops,
-    views: RowViews,
-    by_hand: ByHand | None = None,
-) -> Merged:
+def merge_row(stops: RowStops, views: RowViews, by_hand: ByHand | None = None) -> Merged:
     """Merge the views of one row into fruit.
 
     First pairs come from shifts that are tried between each two stops (`vote_pairs`). Then the
@@ -313,11 +309,7 @@ def _gaps(fitted: FittedStops, views: RowViews, i: Ints, j: Ints) -> tuple[Float
 
 
 def _rated(
-    fitted: FittedStops,
-    stops: RowStops,
-    views: RowViews,
-    crowd: Crowd,
-    by_hand: ByHand,
+    fitted: FittedStops, stops: RowStops, views: RowViews, crowd: Crowd, by_hand: ByHand
 ) -> tuple[Ints, Ints, Floats]:
     """Return the candidates and their log likelihood ratios."""
     i, j = _candidates(fitted, views)

@@ -568,9 +568,7 @@ def _checked_stop(stop: StopRecord) -> StopRecord:
         round_key=checked_key(stop.round_key, "round"),
         captures=tuple(
             replace(
-                capture,
-                source=_storable(capture.source),
-                provenance=_storable(capture.provenance),
+                capture, source=_storable(capture.source), provenance=_storable(capture.provenance)
             )
             for capture in stop.captures
         ),

@@ -34,10 +34,7 @@ _WIDE = 500  # columns in files and pipes, for one line per finding
 
 
 @app.command()
-def check(
-    folder: Folder,
-    names: Names = "",
-) -> None:
+def check(folder: Folder, names: Names = "") -> None:
     """List all faults of a data set; the exit code is 1 if there are any."""
     from rich.table import Table
     from rich.text import Text
@@ -69,8 +66,7 @@ def convert(
     folder: Folder,
     out: Annotated[Path, typer.Argument(help="New folder.", metavar="OUT")],
     to: Annotated[
-        str,
-        typer.Option(help="Format: coco, yolo-seg, yolo-pose or yolo-detect."),
+        str, typer.Option(help="Format: coco, yolo-seg, yolo-pose or yolo-detect.")
     ] = "coco",
     names: Names = "",
     keep: Annotated[
@@ -152,10 +148,7 @@ def split(
 
 
 @app.command()
-def pseudo(
-    folder: Folder,
-    out: OutOrSame = None,
-) -> None:
+def pseudo(folder: Folder, out: OutOrSame = None) -> None:
     """Add masks by SAM to labels with boxes only, as pseudo-labels; the test split is skipped."""
     from cucumbervision.networks.loaded import open_segmenter
     from cucumbervision_lab.cli.screen import show, ticking
@@ -275,8 +268,7 @@ def synth(
         Path | None, _folder("Folder of picture assets: textures/, backgrounds/ and hdri/.")
     ] = None,
     paste: Annotated[
-        Path | None,
-        _folder("Labelled set whose fruit are pasted onto photos; needs --onto."),
+        Path | None, _folder("Labelled set whose fruit are pasted onto photos; needs --onto.")
     ] = None,
     onto: Annotated[
         Path | None,

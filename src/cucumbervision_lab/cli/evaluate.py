@@ -21,8 +21,7 @@ Confidence = Annotated[
 
 def evaluate_models(
     data: Annotated[
-        Path,
-        typer.Argument(help="Labelled pictures: folder with annotations.json, or COCO JSON."),
+        Path, typer.Argument(help="Labelled pictures: folder with annotations.json, or COCO JSON.")
     ],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the results.")],
     seg: Seg = None,
@@ -114,8 +113,7 @@ def benchmark(
     stress: Annotated[int, typer.Option(min=0, help="Number of fruit in the stress set.")] = 2000,
     workers: Annotated[int, typer.Option(min=1, help="Number of processes.")] = 2,
     learn_intervals: Annotated[
-        Path | None,
-        typer.Option(help="Fit the interval models, write them to this file and exit."),
+        Path | None, typer.Option(help="Fit the interval models, write them to this file and exit.")
     ] = None,
     learn_fruit: Annotated[
         int, typer.Option(min=50, help="Number of stress-set fruit for fitting the intervals.")

@@ -154,12 +154,10 @@ def classifier(
     ],
     out: Folder,
     init: Annotated[
-        str,
-        typer.Option(help="Weights of YOLO26n-seg (.pt), or of an earlier training (.pt)."),
+        str, typer.Option(help="Weights of YOLO26n-seg (.pt), or of an earlier training (.pt).")
     ],
     name: Annotated[
-        str | None,
-        typer.Option(help="The network's name.", show_default="cucumber-KIND"),
+        str | None, typer.Option(help="The network's name.", show_default="cucumber-KIND")
     ] = None,
     epochs: Annotated[
         int | None,

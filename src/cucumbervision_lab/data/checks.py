@@ -136,10 +136,7 @@ def check_folder(
 
 
 def check_dataset(
-    dataset: DataSet,
-    *,
-    duplicates: bool = True,
-    progress: Callable[[int], None] | None = None,
+    dataset: DataSet, *, duplicates: bool = True, progress: Callable[[int], None] | None = None
 ) -> list[Finding]:
     """Find all faults of a data set.
 
@@ -257,9 +254,7 @@ def _scene_leaks(dataset: DataSet) -> Iterator[Finding]:
 
 
 def _duplicate_leaks(
-    dataset: DataSet,
-    pictures: Sequence[LabelledPicture],
-    progress: Callable[[int], None] | None,
+    dataset: DataSet, pictures: Sequence[LabelledPicture], progress: Callable[[int], None] | None
 ) -> list[Finding]:
     assigned = [p for p in pictures if p.split]
     if len({p.split for p in assigned}) < 2:

@@ -194,10 +194,7 @@ _DIGITS = 3  # decimal places of pixels, far below the accuracy of labels
 
 
 def write_coco(
-    dataset: DataSet,
-    folder: Path,
-    *,
-    progress: Callable[[int], None] | None = None,
+    dataset: DataSet, folder: Path, *, progress: Callable[[int], None] | None = None
 ) -> DataSet:
     """Write a data set in COCO format: `images/`, `depth/` and `annotations.json`.
 

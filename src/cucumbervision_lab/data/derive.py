@@ -39,20 +39,12 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 
     from cucumbervision.networks.loaded import NetworkSegmenter
-    from cucumbervision_greenhouse.store.records import (
-        CaptureRecord,
-        FruitRow,
-        Round,
-        StopRecord,
-    )
+    from cucumbervision_greenhouse.store.records import CaptureRecord, FruitRow, Round, StopRecord
     from cucumbervision_greenhouse.store.repository import Store
 
 
 def merge_datasets(
-    datasets: Sequence[DataSet],
-    out: Path,
-    *,
-    progress: Callable[[int], None] | None = None,
+    datasets: Sequence[DataSet], out: Path, *, progress: Callable[[int], None] | None = None
 ) -> DataSet:
     """Merge data sets and write the result in COCO format.
 
@@ -135,9 +127,7 @@ class PseudoMasks:
 
 
 def add_pseudo_masks(
-    dataset: DataSet,
-    segmenter: NetworkSegmenter,
-    progress: Callable[[int], None] | None = None,
+    dataset: DataSet, segmenter: NetworkSegmenter, progress: Callable[[int], None] | None = None
 ) -> PseudoMasks:
     """Add masks by SAM to all fruit that have only a box, except in the split 'test'.
 
@@ -324,12 +314,7 @@ class StoreSet:
     without_picture: int = 0
 
 
-def dataset_from_store(
-    store: Store,
-    out: Path,
-    *,
-    licence: str = "",
-) -> StoreSet:
+def dataset_from_store(store: Store, out: Path, *, licence: str = "") -> StoreSet:
     """Export all captures with at least one reviewed detection in COCO format.
 
     Parameters

@@ -88,11 +88,7 @@ class Label:
 
     @classmethod
     def of_mask(
-        cls,
-        mask: NDArray[np.bool_],
-        *,
-        amodal: NDArray[np.bool_] | None = None,
-        **rest: Any,
+        cls, mask: NDArray[np.bool_], *, amodal: NDArray[np.bool_] | None = None, **rest: Any
     ) -> Label:
         """Create a label from masks; the box is that of the visible mask.
 

@@ -80,9 +80,7 @@ def skan_length(
     return lifted_length((path + corner)[:, ::-1], depth_m, mask, intrinsics)
 
 
-BASELINES: dict[str, Baseline] = {
-    "skan": skan_length,
-}
+BASELINES: dict[str, Baseline] = {"skan": skan_length}
 
 
 def available_baselines() -> dict[str, Baseline]:

@@ -302,11 +302,7 @@ def write_interval_models(path: Path, models: IntervalModels) -> None:
     >>> read_interval_models(path) == models
     True
     """
-    head = {
-        "basis": str(IntervalBasis.SIMULATED),
-        "level": models.level,
-        "fruit": models.fruit,
-    }
+    head = {"basis": str(IntervalBasis.SIMULATED), "level": models.level, "fruit": models.fruit}
     lines = [json.dumps(_rounded(asdict(model))) for model in models.models.values()]
     text = json.dumps(head)[:-1] + ', "models": [\n' + ",\n".join(lines) + "\n]}\n"
     path.write_text(text, encoding="utf-8")

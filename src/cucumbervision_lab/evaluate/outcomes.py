@@ -54,10 +54,7 @@ class Matches:
 
 
 def match_boxes(
-    found: ArrayLike,
-    required: ArrayLike,
-    optional: ArrayLike = (),
-    ignored: ArrayLike = (),
+    found: ArrayLike, required: ArrayLike, optional: ArrayLike = (), ignored: ArrayLike = ()
 ) -> Matches:
     """Match detections greedily with labelled boxes in order of confidence, as in COCO.
 

@@ -21,13 +21,7 @@ from cucumbervision.files import read_json
 from cucumbervision.fruit.label_files import parse_yolo_line
 from cucumbervision.fruit.mask_codes import Rle, fill_polygon
 from cucumbervision.fruit.masks import box_iou
-from cucumbervision_lab.data.labels import (
-    DataSet,
-    Label,
-    LabelledPicture,
-    list_pictures,
-    ticked,
-)
+from cucumbervision_lab.data.labels import DataSet, Label, LabelledPicture, list_pictures, ticked
 from cucumbervision_lab.evaluate.outcomes import Score, detection_rows, fruit_rows, overall
 from cucumbervision_lab.evaluate.picture_result import detect_picture
 from cucumbervision_lab.evaluate.pictures import Frame, TrueFruit
@@ -136,9 +130,7 @@ def audited(
     ]
     if not pictures:
         raise DataSetError(
-            "contains no audited photo",
-            source=folder,
-            remedy="give the folder with the photos",
+            "contains no audited photo", source=folder, remedy="give the folder with the photos"
         )
     if outlines:
         pictures = [_outlined(picture, folder / picture.file) for picture in pictures]

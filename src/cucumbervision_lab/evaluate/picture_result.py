@@ -269,14 +269,7 @@ def merge_detections(
     if look is None:
         sure = pose_floor(confidence)
         poses = [instance for instance in posed or () if instance.confidence > sure]
-    return each_fruit_once(
-        detected,
-        poses,
-        depth_m,
-        confidence=confidence,
-        looks=looks,
-        look=look,
-    )
+    return each_fruit_once(detected, poses, depth_m, confidence=confidence, looks=looks, look=look)
 
 
 def found_by_fruit(result: PictureResult, confidence: float) -> dict[int, Instance]:

@@ -169,11 +169,9 @@ class Frame:
 
     def detections(self, stage: Stage) -> tuple[DetectedFruit, ...]:
         """Return the detections of one stage."""
-        return {
-            Stage.SEGMENTED: self.segmented,
-            Stage.POSED: self.posed,
-            Stage.KEPT: self.kept,
-        }[stage]
+        return {Stage.SEGMENTED: self.segmented, Stage.POSED: self.posed, Stage.KEPT: self.kept}[
+            stage
+        ]
 
 
 def encode_mask(mask: NDArray[np.bool_]) -> Code:

@@ -41,11 +41,7 @@ from cucumbervision_lab.evaluate.measure_case import (
     readings_frame,
 )
 from cucumbervision_lab.evaluate.outcomes import match_fruit
-from cucumbervision_lab.evaluate.picture_result import (
-    detect_picture,
-    found_by_fruit,
-    open_networks,
-)
+from cucumbervision_lab.evaluate.picture_result import detect_picture, found_by_fruit, open_networks
 from cucumbervision_lab.evaluate.pictures import (
     capture_of,
     frame_of,
@@ -220,9 +216,7 @@ def evaluate_detection(
 
 
 def length_records(
-    frame: Frame,
-    capture: Capture,
-    perceived: Mapping[int, Instance],
+    frame: Frame, capture: Capture, perceived: Mapping[int, Instance]
 ) -> list[LengthRecord]:
     """Measure the fruit of a picture on true and on predicted masks.
 
@@ -328,11 +322,7 @@ def _with_gravity(
 
 
 def _record(
-    frame: Frame,
-    number: int,
-    capture: Capture,
-    instance: Instance | None,
-    masks: Masks,
+    frame: Frame, number: int, capture: Capture, instance: Instance | None, masks: Masks
 ) -> LengthRecord:
     fruit = frame.true[number]
     lengths: dict[str, float | None] = dict.fromkeys(READ)
@@ -374,12 +364,7 @@ _LEARN_FIRST = 1_000_000
 
 
 def learn_intervals(
-    file: Path,
-    out: Path,
-    fruit: int,
-    drawn: Path,
-    workers: int = 1,
-    report: Report | None = None,
+    file: Path, out: Path, fruit: int, drawn: Path, workers: int = 1, report: Report | None = None
 ) -> IntervalModels:
     """Fit all interval models, on fruit that no benchmark uses.
 

@@ -82,11 +82,7 @@ class Tube:
 
 
 def arc_tube(
-    length_m: float,
-    radius_m: float,
-    bend_radius_m: float = np.inf,
-    *,
-    neck: float = 0.0,
+    length_m: float, radius_m: float, bend_radius_m: float = np.inf, *, neck: float = 0.0
 ) -> Tube:
     """Create a tube bent to a circular arc, centred at the origin with its chord along x.
 

@@ -99,9 +99,7 @@ def random_exposure(rng: np.random.Generator, width: int = 1280) -> Exposure:
 
 
 def expose(
-    linear: NDArray[np.float32],
-    exposure: Exposure,
-    rng: np.random.Generator,
+    linear: NDArray[np.float32], exposure: Exposure, rng: np.random.Generator
 ) -> NDArray[np.uint8]:
     """Simulate a picture of the colour camera.
 

@@ -343,9 +343,7 @@ def _points(
 
 def _grown(small: NDArray[Any], shape: tuple[int, ...], step: int) -> NDArray[np.float32]:
     grown = cv2.resize(
-        small,
-        (small.shape[1] * step, small.shape[0] * step),
-        interpolation=cv2.INTER_LINEAR,
+        small, (small.shape[1] * step, small.shape[0] * step), interpolation=cv2.INTER_LINEAR
     )
     return np.asarray(grown[: shape[0], : shape[1]])
 

@@ -8,14 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision_lab.scenes.bodies import rotation
-from cucumbervision_lab.scenes.raycast import (
-    Leaf,
-    Plane,
-    Stem,
-    cast_leaf,
-    cast_tube,
-    scaled_camera,
-)
+from cucumbervision_lab.scenes.raycast import Leaf, Plane, Stem, cast_leaf, cast_tube, scaled_camera
 from cucumbervision_lab.scenes.scene import Scene
 
 if TYPE_CHECKING:
@@ -147,10 +140,7 @@ def string(rng: np.random.Generator, x_m: float, z_m: float, radius_m: float = 0
 
 
 def trellis(
-    rng: np.random.Generator,
-    camera: Intrinsics,
-    fruit: tuple[Tube, ...],
-    behind_m: float = 0.15,
+    rng: np.random.Generator, camera: Intrinsics, fruit: tuple[Tube, ...], behind_m: float = 0.15
 ) -> Scene:
     """Add leaves, strings, stems and a distant wall behind hanging fruit.
 

@@ -418,10 +418,7 @@ class Plane:
 
     def moved(self, turn: NDArray[np.float64], by_m: ArrayLike) -> Plane:
         """Return the plane rotated about the origin by a 3x3 matrix, then translated by metres."""
-        return Plane(
-            turn @ self.point_m + np.asarray(by_m, dtype=float),
-            turn @ self.normal,
-        )
+        return Plane(turn @ self.point_m + np.asarray(by_m, dtype=float), turn @ self.normal)
 
 
 def cast_plane(plane: Plane, camera: Intrinsics) -> Hit:

@@ -8,13 +8,7 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
-from cucumbervision_lab.scenes.colors import (
-    jitter,
-    mix,
-    smooth_noise,
-    smoothstep,
-    to_linear,
-)
+from cucumbervision_lab.scenes.colors import jitter, mix, smooth_noise, smoothstep, to_linear
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -178,10 +172,7 @@ def material_color(rng: np.random.Generator, material: str) -> tuple[float, floa
 
 
 def material_tile(
-    rng: np.random.Generator,
-    material: str,
-    color: tuple[float, float, float],
-    pixel_m: float = 0.0,
+    rng: np.random.Generator, material: str, color: tuple[float, float, float], pixel_m: float = 0.0
 ) -> NDArray[np.float32]:
     """Generate a tileable texture of a material.
 

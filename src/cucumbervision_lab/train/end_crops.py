@@ -122,11 +122,7 @@ def moved_axis(axis_m: NDArray[np.float64], by_m: float) -> NDArray[np.float64]:
     return np.vstack([tip, axis_m[1:]])
 
 
-def collect_end_crops(
-    fruit: Sequence[MeasuredFruit],
-    data: DataSet,
-    seed: int = 0,
-) -> EndCrops:
+def collect_end_crops(fruit: Sequence[MeasuredFruit], data: DataSet, seed: int = 0) -> EndCrops:
     """Cut out both ends of fruit, and of those of training each once more, moved along the axis.
 
     Parameters
@@ -178,10 +174,7 @@ def _of_rows(rows: Sequence[tuple[Any, ...]]) -> EndCrops:
 
 
 def collect_covered_ends(
-    fruit: Sequence[MeasuredFruit],
-    data: DataSet,
-    pieces: Sequence[Cutout],
-    seed: int = 0,
+    fruit: Sequence[MeasuredFruit], data: DataSet, pieces: Sequence[Cutout], seed: int = 0
 ) -> EndCrops | None:
     """Cut out true ends of training over, beside or behind which real leaves or stems were laid.
 

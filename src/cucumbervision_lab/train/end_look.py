@@ -312,9 +312,7 @@ def looked_fruit(
 
 
 def fit_look_intervals(
-    fruit: Sequence[MeasuredFruit],
-    looks: Sequence[tuple[EndLook, EndLook]],
-    level: float = 0.90,
+    fruit: Sequence[MeasuredFruit], looks: Sequence[tuple[EndLook, EndLook]], level: float = 0.90
 ) -> dict[str, IntervalModel]:
     """Fit interval models of M6's three lengths on fruit whose ends were looked at.
 

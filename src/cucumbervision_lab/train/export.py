@@ -373,8 +373,7 @@ def export_trained(
     """
     if not _NAME.fullmatch(name):
         raise TrainingError(
-            f"invalid model name {name!r}",
-            remedy="use lower-case letters, digits, '-' and '.'",
+            f"invalid model name {name!r}", remedy="use lower-case letters, digits, '-' and '.'"
         )
     results = read_json(evaluation) if evaluation else {}
     if not isinstance(results, dict):

@@ -93,10 +93,7 @@ def make_network(init: Path | str) -> Any:
             self.outline = nn.Sequential(_block(w1 + PLANES, w1), nn.Conv2d(w1, 1, 1))
             self.points = nn.Sequential(_block(w8, w8), nn.Conv2d(w8, POINTS * 4, 1))
             self.verdict = nn.Sequential(
-                nn.Dropout(0.2),
-                nn.Linear(CHANNELS * _ENDS, 64),
-                nn.SiLU(),
-                nn.Linear(64, 2),
+                nn.Dropout(0.2), nn.Linear(CHANNELS * _ENDS, 64), nn.SiLU(), nn.Linear(64, 2)
             )
             self.stem = nn.Sequential(
                 nn.AvgPool2d((HEIGHT_PX // 16, 1)),

@@ -349,9 +349,7 @@ def _measured_fruit(
 
 
 def write_measured(
-    data: DataSet,
-    keep: Path,
-    progress: Callable[[int], None] | None = None,
+    data: DataSet, keep: Path, progress: Callable[[int], None] | None = None
 ) -> None:
     """Measure every picture of a drawn set that the file does not hold yet.
 

@@ -268,9 +268,7 @@ def train(
         model = load_yolo(last)
         if model.task != TASKS[task]:
             raise TrainingError(
-                f"contains a training for {model.task}",
-                source=out,
-                remedy="choose another folder",
+                f"contains a training for {model.task}", source=out, remedy="choose another folder"
             )
         # Ultralytics removes the optimiser at the end.
         if not (model.ckpt or {}).get("optimizer"):

@@ -73,10 +73,7 @@ def test_bad_depth(
     np.save(tmp_path / "d.npy", depth, allow_pickle=True)
     with pytest.raises(DepthError, match=rf"d\.npy: .*{words}"):
         load(
-            tmp_path / "c.png",
-            depth=tmp_path / "d.npy",
-            intrinsics=intrinsics,
-            depth_unit_m=unit_m,
+            tmp_path / "c.png", depth=tmp_path / "d.npy", intrinsics=intrinsics, depth_unit_m=unit_m
         )
 
 
@@ -214,11 +211,7 @@ def test_intrinsics_without_a_size_belong_to_pictures_around_their_centre(tmp_pa
 
 @pytest.mark.parametrize(
     ("text", "step"),
-    [
-        ("450,460\n450,nan\n", 1.0),
-        ("0.45;0.46\n0.45;0.47\n", 1.0),
-        ("450,460\n450,470\n", 0.001),
-    ],
+    [("450,460\n450,nan\n", 1.0), ("0.45;0.46\n0.45;0.47\n", 1.0), ("450,460\n450,470\n", 0.001)],
 )
 def test_depth_as_a_table(text: str, step: float, tmp_path: Path) -> None:
     (tmp_path / "d.csv").write_text(text)

@@ -16,11 +16,7 @@ from cucumbervision.capture.readers.native import write_native
 from cucumbervision.capture.source import example_captures
 from cucumbervision.cli.app import app
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision_greenhouse.store.records import (
-    CaptureRecord,
-    StopRecord,
-    new_key,
-)
+from cucumbervision_greenhouse.store.records import CaptureRecord, StopRecord, new_key
 from cucumbervision_greenhouse.store.repository import open_store
 
 
@@ -142,8 +138,7 @@ def test_faults_are_named(house: list[str]) -> None:
 
 
 @pytest.mark.parametrize(
-    "command",
-    ["list", "show", "merge", "check", "add x", "link monday", "remeasure"],
+    "command", ["list", "show", "merge", "check", "add x", "link monday", "remeasure"]
 )
 def test_a_store_that_is_not_there_is_not_made(tmp_path: Path, command: str) -> None:
     store = tmp_path / "houses" / "hause.db"

@@ -13,10 +13,7 @@ from cucumbervision.crop.profiles import load_profile
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.run.fields import FIELDS
 from cucumbervision_greenhouse.exports.build import RoundTables, round_tables
-from cucumbervision_greenhouse.store.records import (
-    FruitRow,
-    key_of,
-)
+from cucumbervision_greenhouse.store.records import FruitRow, key_of
 from cucumbervision_greenhouse.store.repository import Store
 
 

@@ -26,10 +26,7 @@ from cucumbervision.run.fields import Cell, Column
 from cucumbervision_greenhouse.exports import ExportFormat
 from cucumbervision_greenhouse.exports.build import COLUMNS, RoundTables, round_tables
 from cucumbervision_greenhouse.exports.writers import SHEETS, render_sheet, write_exports
-from cucumbervision_greenhouse.store.records import (
-    Round,
-    key_of,
-)
+from cucumbervision_greenhouse.store.records import Round, key_of
 from cucumbervision_greenhouse.store.repository import Store
 
 ROOT = Path(__file__).parents[3]

@@ -193,8 +193,7 @@ def test_days_that_contradict_each_other_are_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    "options",
-    [{"days": -1}, {"level": 1.0}, {"draws": 0}, {"scale_sd": -0.1}],
+    "options", [{"days": -1}, {"level": 1.0}, {"draws": 0}, {"scale_sd": -0.1}]
 )
 def test_options_that_cannot_be_are_refused(options: dict[str, float]) -> None:
     with pytest.raises(ForecastError, match="give"):

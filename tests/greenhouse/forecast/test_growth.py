@@ -9,13 +9,7 @@ from tests.simulated_houses import HouseSettings, simulate_house
 
 from cucumbervision.crop.profiles import load_profile
 from cucumbervision.errors import ForecastError
-from cucumbervision_greenhouse.forecast.growth import (
-    Growth,
-    GrowthPrior,
-    Link,
-    Spreads,
-    fit_growth,
-)
+from cucumbervision_greenhouse.forecast.growth import Growth, GrowthPrior, Link, Spreads, fit_growth
 
 SPREADS = Spreads(0.008, 0.002, 0.005, 0.003, 0.003)
 PRIOR = GrowthPrior.of(load_profile("long-cucumber"))
@@ -151,8 +145,7 @@ def test_growth_that_slows_is_measured_against_the_length() -> None:
 
 
 @pytest.mark.parametrize(
-    "change",
-    [{"day1": 0.0}, {"length0_m": -0.1}, {"sd1_m": 0.0}, {"length1_m": float("nan")}],
+    "change", [{"day1": 0.0}, {"length0_m": -0.1}, {"sd1_m": 0.0}, {"length1_m": float("nan")}]
 )
 def test_link_that_cannot_be_is_refused(change: dict[str, float]) -> None:
     days, lengths = {"day0": 0.0, "day1": 1.0}, {"length0_m": 0.2, "length1_m": 0.23}

@@ -9,13 +9,7 @@ import pytest
 pytest.importorskip("streamlit")
 
 
-from tests.greenhouse.pages.app_pages import (
-    WALK,
-    app,
-    said,
-    tap,
-    wait_for_jobs,
-)
+from tests.greenhouse.pages.app_pages import WALK, app, said, tap, wait_for_jobs
 
 from cucumbervision.accuracy.calibration_file import read_site_calibration
 from cucumbervision.capture.readers import open_source

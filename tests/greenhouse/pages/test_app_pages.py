@@ -14,14 +14,7 @@ import pytest
 
 pytest.importorskip("streamlit")
 
-from tests.greenhouse.pages.app_pages import (
-    LONG,
-    PAGES,
-    WALK,
-    app,
-    said,
-    wait_for_jobs,
-)
+from tests.greenhouse.pages.app_pages import LONG, PAGES, WALK, app, said, wait_for_jobs
 
 from cucumbervision.capture.frames import Stop
 from cucumbervision.capture.readers import open_source

@@ -8,11 +8,7 @@ import pytest
 pytest.importorskip("streamlit")
 
 
-from tests.greenhouse.pages.app_pages import (
-    WALK,
-    app,
-    tap,
-)
+from tests.greenhouse.pages.app_pages import WALK, app, tap
 
 from cucumbervision.capture.frames import Stop
 from cucumbervision_greenhouse.rounds.merge_and_link import move_stop

@@ -124,6 +124,6 @@ def test_a_fruit_is_outlined_by_a_tap_one_is_added_and_one_deleted(
     with open_store(path) as store:
         log = [one for one in store.log(WALK) if one.by != "nobody"]
     assert [(one.kind, one.by) for one in log[::-1]] == [
-        *(("correct", "dashboard"), ("add", "dashboard"), ("reject", "dashboard")),
+        *(("correct", "dashboard"), ("add", "dashboard"), ("reject", "dashboard"))
     ]
     assert all(begun_s <= one.at_s <= time.time() for one in log)

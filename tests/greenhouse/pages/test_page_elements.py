@@ -6,12 +6,7 @@ import pytest
 
 pytest.importorskip("streamlit")
 
-from tests.greenhouse.pages.app_pages import (
-    WALK,
-    app,
-    said,
-    tap,
-)
+from tests.greenhouse.pages.app_pages import WALK, app, said, tap
 
 from cucumbervision_greenhouse.store.records import Verdict
 from cucumbervision_greenhouse.store.repository import open_store

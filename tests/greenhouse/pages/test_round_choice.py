@@ -10,14 +10,7 @@ import pytest
 pytest.importorskip("streamlit")
 
 from streamlit.testing.v1 import AppTest
-from tests.greenhouse.pages.app_pages import (
-    PAGES,
-    WALK,
-    app,
-    said,
-    tap,
-    wait_for_jobs,
-)
+from tests.greenhouse.pages.app_pages import PAGES, WALK, app, said, tap, wait_for_jobs
 
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
@@ -156,12 +149,7 @@ def test_a_house_is_chosen_of_the_known_ones_and_one_by_another_name_is_told(hou
     next(b for b in test.button if b.label == "Start this round").click().run()
     assert "'house 1', which is known" in test.toast[0].value
     with open_store(house) as store:
-        assert [one.house for one in store.rounds()] == [
-            "house 1",
-            "North",
-            "house 1",
-            "North",
-        ]
+        assert [one.house for one in store.rounds()] == ["house 1", "North", "house 1", "North"]
 
 
 def test_a_round_that_was_left_is_not_opened_again_by_an_older_address(house: Path) -> None:

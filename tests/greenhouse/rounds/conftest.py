@@ -56,11 +56,7 @@ def _stop(walk: Walk, number: int, record: Round, row: str) -> StopRecord:
             score=float(views.score[k]),
             flags="end-hidden" if views.partial[k] else "",
             length=Length(
-                length,
-                CENTRELINE,
-                length * (1 - 1.645 * sd),
-                length * (1 + 1.645 * sd),
-                CENTRELINE,
+                length, CENTRELINE, length * (1 - 1.645 * sd), length * (1 + 1.645 * sd), CENTRELINE
             ),
             centreline_m=length,
             diameter_max_m=float(views.diameter_m[k]),

@@ -38,9 +38,7 @@ def test_a_round_says_once_what_its_data_makes_doubtful(store: Store) -> None:
     assert round_doubts(store.detections(MORNING)) == []
 
 
-def test_fruit_of_impossible_sizes_name_the_unit_that_would_explain_them(
-    store: Store,
-) -> None:
+def test_fruit_of_impossible_sizes_name_the_unit_that_would_explain_them(store: Store) -> None:
     refused = SOUND.with_(length=None, method=None, reason="implausible-length", m6_m=None)
     lines = walked(store, refused.with_(m3_m=1.3, m6_m=1.6), refused)
     assert lines == [

@@ -5,12 +5,7 @@ from datetime import datetime, timedelta
 
 import pytest
 
-from cucumbervision_greenhouse.rounds.forecasting import (
-    age_of,
-    date_after,
-    day_0_s,
-    midnight_s,
-)
+from cucumbervision_greenhouse.rounds.forecasting import age_of, date_after, day_0_s, midnight_s
 from cucumbervision_greenhouse.store.records import Round
 
 

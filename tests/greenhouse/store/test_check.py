@@ -8,10 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from cucumbervision_greenhouse.store.check import check_store
-from cucumbervision_greenhouse.store.records import (
-    CaptureRecord,
-    key_of,
-)
+from cucumbervision_greenhouse.store.records import CaptureRecord, key_of
 from cucumbervision_greenhouse.store.repository import Store
 
 WALK, NEXT_DAY = key_of("walk"), key_of("next day")

@@ -9,12 +9,7 @@ from sqlalchemy import inspect, text
 
 from cucumbervision.errors import StoreError, StoreVersionError
 from cucumbervision.methods.result import Length
-from cucumbervision_greenhouse.store.engine import (
-    VERSION_TABLE,
-    begin,
-    database_url,
-    make_engine,
-)
+from cucumbervision_greenhouse.store.engine import VERSION_TABLE, begin, database_url, make_engine
 from cucumbervision_greenhouse.store.records import (
     CaptureRecord,
     FruitRow,

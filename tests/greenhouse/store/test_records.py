@@ -7,12 +7,7 @@ import numpy as np
 import pytest
 
 from cucumbervision.errors import StoreError
-from cucumbervision_greenhouse.store.records import (
-    checked_key,
-    key_of,
-    new_key,
-    record_json,
-)
+from cucumbervision_greenhouse.store.records import checked_key, key_of, new_key, record_json
 
 
 def test_new_keys_differ_and_made_keys_do_not() -> None:

@@ -40,10 +40,7 @@ def test_a_stop_with_nothing_in_it_comes_back_too(store: Store) -> None:
     ("captures", "fault"),
     [
         ((CaptureRecord("a"), CaptureRecord("a")), "two captures are called a"),
-        (
-            (CaptureRecord("a", fruit=(FruitRow(1), FruitRow(1))),),
-            "two fruit have number 1",
-        ),
+        ((CaptureRecord("a", fruit=(FruitRow(1), FruitRow(1))),), "two fruit have number 1"),
     ],
 )
 def test_doubles_within_a_stop_are_refused(

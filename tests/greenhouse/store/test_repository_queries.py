@@ -89,14 +89,7 @@ def test_filters_keep_what_they_say(store: Store, make_stop: MakeStop) -> None:
 
 
 def test_what_is_not_there_is_said(store: Store) -> None:
-    for call in (
-        "stops",
-        "detections",
-        "links",
-        "stop",
-        "detection",
-        "undo",
-    ):
+    for call in ("stops", "detections", "links", "stop", "detection", "undo"):
         with pytest.raises(StoreError, match="is not in the store"):
             getattr(store, call)(new_key())
 

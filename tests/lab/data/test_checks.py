@@ -13,12 +13,7 @@ import pytest
 from cucumbervision.capture.pictures import read_color, write_png
 from cucumbervision.errors import DataSetError
 from cucumbervision.fruit.mask_codes import Rle
-from cucumbervision_lab.data.checks import (
-    Finding,
-    check_dataset,
-    check_folder,
-    require_clean,
-)
+from cucumbervision_lab.data.checks import Finding, check_dataset, check_folder, require_clean
 from cucumbervision_lab.data.coco import write_coco
 from cucumbervision_lab.data.labels import DataSet, Label
 from cucumbervision_lab.data.yolo import write_yolo
@@ -63,10 +58,7 @@ def test_every_fault_of_a_yolo_set_is_listed(make_set: MakeSet, tmp_path: Path) 
     yaml.write_text(yaml.read_text().replace("0: cucumber", "0: cucumber, 1: leaf"))
     _, findings = check_folder(out)
     assert faults(findings) == [
-        (
-            "label",
-            "line 1: has numbers outside 0 to 1, which must be shares of width and height",
-        ),
+        ("label", "line 1: has numbers outside 0 to 1, which must be shares of width and height"),
         ("label", "line 2: its box has no area"),
         ("label", "the label file is missing"),
         ("picture", "is truncated or damaged"),
@@ -96,10 +88,7 @@ def test_every_fault_of_a_coco_set_is_listed(make_set: MakeSet) -> None:
         ("label", "annotation 3: has 2 keypoint numbers, not 15"),
         ("picture", "the file is missing"),
         ("picture", "is 80x60, but its labels are for 160x120"),
-        (
-            "split",
-            "the test split contains a pseudo-label",
-        ),
+        ("split", "the test split contains a pseudo-label"),
     ]
 
 

@@ -9,12 +9,7 @@ import pytest
 
 from cucumbervision.capture.pictures import write_png
 from cucumbervision.errors import DataSetError
-from cucumbervision_lab.data.coco import (
-    collect_fragments,
-    read_coco,
-    write_coco,
-    write_fragment,
-)
+from cucumbervision_lab.data.coco import collect_fragments, read_coco, write_coco, write_fragment
 from cucumbervision_lab.data.labels import DataSet, Label, LabelledPicture
 
 MakeSet = Callable[..., DataSet]
@@ -119,10 +114,7 @@ def test_a_damaged_fragment_loses_only_itself(make_set: MakeSet) -> None:
     (dataset.folder / "fragments/2.json").write_text('{"image": {}}')
     back = collect_fragments(dataset.folder)
     assert [p.file for p in back.pictures] == ["images/000000.png", "images/000003.png"]
-    assert [Path(str(e.source)).name for e in back.refused] == [
-        "1.json",
-        "2.json",
-    ]
+    assert [Path(str(e.source)).name for e in back.refused] == ["1.json", "2.json"]
 
 
 def test_numbers_of_numpy_are_written_and_nan_is_refused(make_set: MakeSet, tmp_path: Path) -> None:

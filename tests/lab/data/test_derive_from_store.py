@@ -25,11 +25,7 @@ from cucumbervision_greenhouse.store.repository import Store, open_store
 from cucumbervision_lab.cli.data import app
 from cucumbervision_lab.data.checks import check_folder
 from cucumbervision_lab.data.coco import read_coco
-from cucumbervision_lab.data.derive import (
-    ReviewCounts,
-    dataset_from_store,
-    split_of_position,
-)
+from cucumbervision_lab.data.derive import ReviewCounts, dataset_from_store, split_of_position
 
 WIDTH, HEIGHT = 64, 48
 WALK, LATER = key_of("walk"), key_of("later")

@@ -8,11 +8,7 @@ from numpy.typing import NDArray
 
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.errors import MissingExtraError
-from cucumbervision_lab.evaluate.baselines import (
-    Baseline,
-    available_baselines,
-    skan_length,
-)
+from cucumbervision_lab.evaluate.baselines import Baseline, available_baselines, skan_length
 from cucumbervision_lab.scenes.bodies import Tube, arc_tube, rotation
 from cucumbervision_lab.scenes.scene import Scene, render
 
@@ -30,7 +26,7 @@ SKELETONS = [
         skan_length,
         id="skan",
         marks=pytest.mark.skipif("skan" not in available_baselines(), reason="no skan"),
-    ),
+    )
 ]
 
 

@@ -24,12 +24,7 @@ from cucumbervision_lab.evaluate.benchmark import (
     with_intervals,
 )
 from cucumbervision_lab.evaluate.benchmark_report import comparable_readings
-from cucumbervision_lab.evaluate.cases import (
-    Suite,
-    paper_cases,
-    simulate,
-    stress_cases,
-)
+from cucumbervision_lab.evaluate.cases import Suite, paper_cases, simulate, stress_cases
 from cucumbervision_lab.evaluate.measure_case import (
     CaseOptions,
     LengthRecord,

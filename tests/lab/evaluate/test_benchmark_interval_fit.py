@@ -7,10 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from cucumbervision.methods.intervals import Band, IntervalModel, Trees
-from cucumbervision_lab.evaluate.benchmark import (
-    conformal_quantile,
-    fit_interval_model,
-)
+from cucumbervision_lab.evaluate.benchmark import conformal_quantile, fit_interval_model
 
 Array: TypeAlias = NDArray[np.float64]
 

@@ -10,18 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 pytest.importorskip("pycocotools")
 
-from cucumbervision_lab.evaluate.outcomes import (
-    OKS_SIGMA,
-    IouType,
-    average_precision,
-)
-from cucumbervision_lab.evaluate.pictures import (
-    DetectedFruit,
-    Frame,
-    Stage,
-    TrueFruit,
-    encode_mask,
-)
+from cucumbervision_lab.evaluate.outcomes import OKS_SIGMA, IouType, average_precision
+from cucumbervision_lab.evaluate.pictures import DetectedFruit, Frame, Stage, TrueFruit, encode_mask
 
 SIZE = (200, 300)  # height, width
 

@@ -14,12 +14,7 @@ pytest.importorskip("pycocotools")
 from cucumbervision.capture.pictures import write_png
 from cucumbervision.fruit.instance import Instance
 from cucumbervision_lab.evaluate.outcomes import end_rows
-from cucumbervision_lab.evaluate.photos import (
-    Photo,
-    PhotoResult,
-    audited_photos,
-    evaluate_photos,
-)
+from cucumbervision_lab.evaluate.photos import Photo, PhotoResult, audited_photos, evaluate_photos
 from cucumbervision_lab.evaluate.picture_result import Networks
 from cucumbervision_lab.evaluate.pictures import DetectedFruit, Frame, TrueFruit
 from cucumbervision_lab.evaluate.report import photo_tables

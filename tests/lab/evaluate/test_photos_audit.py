@@ -7,13 +7,7 @@ import numpy as np
 import pytest
 
 from cucumbervision.errors import DataSetError
-from cucumbervision_lab.evaluate.photos import (
-    FIRST,
-    OTHER_PLANTS,
-    audit_test,
-    audited,
-    load_audit,
-)
+from cucumbervision_lab.evaluate.photos import FIRST, OTHER_PLANTS, audit_test, audited, load_audit
 
 SIDES = {
     None,

@@ -22,9 +22,7 @@ from cucumbervision_lab.evaluate.picture_result import (
     open_networks,
 )
 from cucumbervision_lab.evaluate.pictures import Frame, TrueFruit
-from cucumbervision_lab.evaluate.scenes import (
-    chosen_networks,
-)
+from cucumbervision_lab.evaluate.scenes import chosen_networks
 
 
 class Replay:

@@ -137,18 +137,12 @@ def networks(scene: DrawnFruit, tmp_path_factory: pytest.TempPathFactory) -> tup
     blocks = scene.mask.reshape(48, 4, 80, 4).mean(axis=(1, 3))
     prototypes[0, 0] = 4 * (blocks - 0.5)
     segment = network(
-        folder / "seg.onnx",
-        rows_of([*box, 0.9, 0, 1.0, *[0.0] * 31]),
-        prototypes,
-        task="segment",
+        folder / "seg.onnx", rows_of([*box, 0.9, 0, 1.0, *[0.0] * 31]), prototypes, task="segment"
     )
     low = scene.keypoints + np.array([0.5, 3.5, 0.0])
     low[:, 2] = 0.95
     pose = network(
-        folder / "pose.onnx",
-        rows_of([*box, 0.8, 0, *low.ravel()]),
-        task="pose",
-        kpt_shape=[5, 3],
+        folder / "pose.onnx", rows_of([*box, 0.8, 0, *low.ravel()]), task="pose", kpt_shape=[5, 3]
     )
     return segment, pose
 
@@ -253,10 +247,7 @@ def test_the_command_writes_everything(
 
 
 def test_photos_are_judged_by_a_command_of_their_own(
-    scene: DrawnFruit,
-    networks: tuple[Path, Path],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    scene: DrawnFruit, networks: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Networks that always see the fruit at its full size find nothing at half size."""
     fruit = {"box": (box_of_mask(scene.mask) + 0.5).tolist(), "class": "cucumber"}

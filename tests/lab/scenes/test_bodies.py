@@ -6,12 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cucumbervision_lab.scenes.bodies import (
-    Tube,
-    arc_tube,
-    bent_tube,
-    random_fruit,
-)
+from cucumbervision_lab.scenes.bodies import Tube, arc_tube, bent_tube, random_fruit
 
 
 @pytest.mark.parametrize("length_m", [0.069, 0.1472, 0.2570, 0.38])

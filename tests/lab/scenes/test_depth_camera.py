@@ -15,11 +15,7 @@ from cucumbervision_lab.scenes.scene import Scene, render
 COLOR = Intrinsics(640, 360, 462.0, 462.0, 320.0, 180.0)
 CAMERA = D4xx.like(COLOR)
 CALM = replace(
-    CAMERA,
-    disparity_rms_px=0.0,
-    unit_m=1e-5,
-    subpixel_step_px=1e-4,
-    registration_px=(0.0, 0.0),
+    CAMERA, disparity_rms_px=0.0, unit_m=1e-5, subpixel_step_px=1e-4, registration_px=(0.0, 0.0)
 )
 WALL = Scene((), planes=(Plane.facing(0.6),))
 

@@ -7,10 +7,7 @@ from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.tube.camera import Distortion
 from cucumbervision_lab.scenes.bodies import Tube, arc_tube, random_fruit, rotation
 from cucumbervision_lab.scenes.placing import occlude, place_hanging, trellis
-from cucumbervision_lab.scenes.raycast import (
-    Plane,
-    Stem,
-)
+from cucumbervision_lab.scenes.raycast import Plane, Stem
 from cucumbervision_lab.scenes.scene import Kind, Scene, render, truth_of
 
 CAMERA = Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0)

@@ -4,11 +4,7 @@ import numpy as np
 import pytest
 
 from cucumbervision_lab.scenes.appearance import Assets
-from cucumbervision_lab.scenes.colors import (
-    sample,
-    smooth_noise,
-    to_linear,
-)
+from cucumbervision_lab.scenes.colors import sample, smooth_noise, to_linear
 from cucumbervision_lab.scenes.textures import (
     MATERIALS,
     far_view,

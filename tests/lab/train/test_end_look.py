@@ -9,12 +9,7 @@ import pytest
 torch = pytest.importorskip("torch")
 pytest.importorskip("ultralytics")
 
-from cucumbervision.fruit.crops import (  # noqa: E402
-    END_PX,
-    PLANES,
-    QUANTILES,
-    EndCrop,
-)
+from cucumbervision.fruit.crops import END_PX, PLANES, QUANTILES, EndCrop  # noqa: E402
 from cucumbervision.networks.looks import ERROR_SCALE, EndLooker  # noqa: E402
 from cucumbervision.networks.registry import file_sha256  # noqa: E402
 from cucumbervision_lab.train.classifier import (  # noqa: E402

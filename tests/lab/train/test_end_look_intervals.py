@@ -7,17 +7,9 @@ import pytest
 
 from cucumbervision.fruit.crops import END_PX, PLANES, EndCrop, EndLook
 from cucumbervision.fruit.mask_codes import Rle
-from cucumbervision.methods.intervals import (
-    LOOKED,
-    PERCEIVED,
-    look_features,
-)
+from cucumbervision.methods.intervals import LOOKED, PERCEIVED, look_features
 from cucumbervision_lab.train.end_crops import EndCrops
-from cucumbervision_lab.train.end_look import (
-    SMALLEST_GROUP,
-    fit_look_intervals,
-    looked_fruit,
-)
+from cucumbervision_lab.train.end_look import SMALLEST_GROUP, fit_look_intervals, looked_fruit
 from cucumbervision_lab.train.measured_ends import EndTruth, MeasuredFruit
 
 TRUE = EndLook(0.98, 0.01, 0.01, (-0.01, -0.004, 0.0, 0.004, 0.01), 0.5)

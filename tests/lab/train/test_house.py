@@ -15,13 +15,7 @@ from cucumbervision_lab.data.coco import read_coco, write_coco
 from cucumbervision_lab.data.labels import DataSet, Label, LabelledPicture
 from cucumbervision_lab.evaluate.outcomes import detection_rows, fruit_rows, overall
 from cucumbervision_lab.evaluate.pictures import Frame, TrueFruit
-from cucumbervision_lab.train.house import (
-    DetectorScore,
-    held_out_set,
-    mixed,
-    train_house,
-    verdict,
-)
+from cucumbervision_lab.train.house import DetectorScore, held_out_set, mixed, train_house, verdict
 from cucumbervision_lab.train.network import TrainOptions
 
 CHECKPOINT = Path(__file__).parents[3] / "checkpoints" / "cucumber-seg.pt"

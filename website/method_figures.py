@@ -76,7 +76,7 @@ def load_example() -> Example:
     """Read the capture, and build its scene again for the truth."""
     (ref,) = open_source(example_captures() / SCENE)
     capture = ref.load()
-    scene = build_scene(next(demo for demo in SCENES if demo.name == SCENE))[0]
+    scene = build_scene(next(demo for demo in SCENES if demo.name == SCENE))
     truth = truth_of(scene, CAMERA)[FRUIT]
     keypoints = np.column_stack([truth.keypoints_px, truth.keypoint_visibility / 2])
     mask = capture.masks[FRUIT]
@@ -269,7 +269,7 @@ def _outer_side(body: Tube) -> NDArray[np.float64]:
 
 def draw_lengths() -> Figure:
     """Return the figure of the three lengths of a fruit, in the plane of its bend."""
-    body = build_scene(next(demo for demo in SCENES if demo.name == SCENE))[0].fruit[BENT]
+    body = build_scene(next(demo for demo in SCENES if demo.name == SCENE)).fruit[BENT]
     start, end = body.poles_m
     along = (end - start) / np.linalg.norm(end - start)
     outward = body.outward - (body.outward @ along) * along

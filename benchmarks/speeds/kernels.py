@@ -1,34 +1,46 @@
-"""Lengths of one mask beside a plain NumPy script."""
+"""Lengths of one mask beside a plain NumPy script and other programs, and the limits of CI."""
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 import time
 from collections.abc import Callable
+from functools import partial
+from importlib.metadata import version
 from statistics import median
 from typing import Any
 
 import numpy as np
-from figures import Figure
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from cucumbervision.capture.frames import median_depth
 from cucumbervision.capture.intrinsics import Intrinsics
+from cucumbervision.capture.readers import open_source
+from cucumbervision.capture.source import example_captures
 from cucumbervision.fruit.masks import box_of_mask
 from cucumbervision.methods.result import MethodName
 from cucumbervision.methods.table import Region, run_methods
+from cucumbervision.run.batch import in_process
 from cucumbervision.tube.compiled import kernel_name
+from cucumbervision_lab.evaluate.baselines import BASELINES, Baseline, available_baselines
 from cucumbervision_lab.scenes.bodies import arc_tube, rotation
 from cucumbervision_lab.scenes.depth_camera import D4xx, sense
 from cucumbervision_lab.scenes.scene import Scene, render
+from speeds.timing import GIVEN, Figure, pace
 
 CAMERA = Intrinsics(1280, 720, 910.0, 910.0, 640.0, 360.0)
-
-
 PAPER_METHODS = (MethodName.M1, MethodName.M2, MethodName.M3, MethodName.M4, MethodName.M5)
-
-
 BINS, SAMPLES = 25, 1000
+TRIES = 4
+LIMITS = {
+    "M1 to M5, times the plain NumPy floor": 4.0,
+    "M6, times the plain NumPy floor": 15.0 if kernel_name() == "numpy" else 9.0,
+    "a capture with given masks, times its reading alone": 4.0,
+    "cucumbervision --help, times Typer and NumPy alone": 3.5,
+}
 
 
 def draw_region() -> Region:
@@ -77,30 +89,85 @@ def fresh(drawn: Region) -> Region:
     return Region(drawn.depth_m, CAMERA, drawn.box, drawn.mask, drawn.keypoints)
 
 
-def timed(drawn: Region, rounds: int) -> tuple[list[float], list[float], list[float]]:
-    """Return the milliseconds of the floor, of M1 to M5 and of M6, taken in turns."""
+def in_turns(others: dict[str, Baseline], rounds: int) -> dict[str, list[float]]:
+    """Return the milliseconds of the floor, of M1 to M5, of M6 and of others, taken in turns."""
+    drawn = draw_region()
     mask = drawn.mask
     assert mask is not None
-    floors, papers, tubes = [], [], []
-    for _ in range(rounds + 5):
-        floors.append(milliseconds(lambda: floor(drawn.depth_m, mask, drawn.box)))
-        papers.append(milliseconds(lambda: run_methods(fresh(drawn), PAPER_METHODS)))
-        tubes.append(milliseconds(lambda: run_methods(fresh(drawn), [MethodName.M6])))
-    return floors[5:], papers[5:], tubes[5:]
+    tasks: dict[str, Callable[[], object]] = {
+        "floor": lambda: floor(drawn.depth_m, mask, drawn.box),
+        "M1 to M5": lambda: run_methods(fresh(drawn), PAPER_METHODS),
+        "M6": lambda: run_methods(fresh(drawn), [MethodName.M6]),
+        **{name: partial(task, drawn.depth_m, mask, CAMERA) for name, task in others.items()},
+    }
+    turns = [{name: milliseconds(task) for name, task in tasks.items()} for _ in range(rounds + 5)]
+    return {name: [turn[name] for turn in turns[5:]] for name in tasks}
 
 
-def times_the_floor(floors: list[float], papers: list[float]) -> float:
+def times_the_floor(taken_ms: dict[str, list[float]], name: str) -> float:
     """Return the median ratio of the pairs."""
-    return median(p / f for p, f in zip(papers, floors, strict=True))
+    return median(x / f for x, f in zip(taken_ms[name], taken_ms["floor"], strict=True))
 
 
 def kernels(quick: bool) -> list[Figure]:
-    """Compare M1 to M5 with plain NumPy on a mask of 30,000 pixels."""
-    floors, papers, tubes = timed(draw_region(), 10 if quick else 60)
-    ratio = times_the_floor(floors, papers)
+    """Compare processor times on a mask of 30,000 pixels with plain NumPy's."""
+    programs = available_baselines()
+    for name in BASELINES:
+        if name not in programs:
+            print(f"{name} is not installed")
+    others = {f"{name} {version(name)}": task for name, task in programs.items()}
+    taken_ms = in_turns(others, 10 if quick else 60)
+    aims = {"M1 to M5": "<= 4"}
     return [
-        Figure("plain NumPy floor (deproject, axis, spline)", median(floors), "ms"),
-        Figure("M1 to M5 together, times the floor", ratio, "x", "<= 4"),
-        Figure(f"M6 a fruit, kernel {kernel_name()}", median(tubes), "ms"),
-        Figure("the same, times the floor", times_the_floor(floors, tubes), "x"),
+        Figure("plain NumPy floor (deproject, axis, spline)", median(taken_ms["floor"]), "ms"),
+        *(
+            Figure(
+                f"{f'{name}, {kernel_name()}' if name == 'M6' else name}, times the floor",
+                times_the_floor(taken_ms, name),
+                "x",
+                aims.get(name, ""),
+            )
+            for name in taken_ms
+            if name != "floor"
+        ),
     ]
+
+
+def help_times_its_libraries() -> float:
+    """Compare the console script's help with a start that loads what it cannot do without."""
+
+    def seconds(code: str) -> float:
+        start = os.times()
+        subprocess.run([sys.executable, "-c", code, "--help"], check=True, capture_output=True)
+        end = os.times()
+        return end.children_user + end.children_system - start.children_user - start.children_system
+
+    program, libraries = "from cucumbervision.cli.app import main; main()", "import typer, numpy"
+    turns = [(seconds(program), seconds(libraries)) for _ in range(TRIES)]
+    return min(own for own, _ in turns) / min(alone for _, alone in turns)
+
+
+def times_its_reading() -> float:
+    """Compare a capture's way through the pipeline with reading it: what is added to every one."""
+    captures = list(open_source(example_captures()))
+
+    def read() -> None:
+        for ref in captures:
+            ref.load()
+
+    read()
+    reading_s = 1e-3 * milliseconds(read) / len(captures)
+    return pace(GIVEN, in_process, 9, 3, time.process_time) / reading_s
+
+
+def check() -> int:
+    """Print each quick ratio beside its limit: what CI runs. The best of a few tries counts."""
+    turns = [in_turns({}, 20) for _ in range(TRIES)]
+    ratios = (
+        *(min(times_the_floor(turn, name) for turn in turns) for name in ("M1 to M5", "M6")),
+        min(times_its_reading() for _ in range(TRIES)),
+        help_times_its_libraries(),
+    )
+    for (name, limit), ratio in zip(LIMITS.items(), ratios, strict=True):
+        print(f"{name}: {ratio:.2f} (limit {limit:.2f}) {'ok' if ratio <= limit else 'TOO SLOW'}")
+    return int(any(ratio > limit for ratio, limit in zip(ratios, LIMITS.values(), strict=True)))

@@ -1,12 +1,14 @@
-"""Captures to time with, and the pace of a batch and of a stream."""
+"""Figures beside their aims, captures to time with, and the pace of a batch and of a stream."""
 
 from __future__ import annotations
 
+import os
+import re
 import shutil
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import median
 
@@ -21,9 +23,44 @@ from cucumbervision.stream.fruit_stream import FruitStream
 from cucumbervision.stream.sources import in_order
 
 MODELS = MeasureOptions(instances="models")
-
-
 GIVEN = MeasureOptions(instances="dataset", segmenter="none")
+
+HEAD = "| what | figure | aim |\n|---|--:|---|"
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One line of a table: what, how much, and what it should be ('<= 8' or '>= 1.7')."""
+
+    what: str
+    value: float
+    unit: str
+    aim: str = ""
+
+    @property
+    def kept(self) -> bool:
+        """Whether the aim, if there is one, is reached."""
+        if not self.aim:
+            return True
+        sign, limit = self.aim.split()
+        return self.value <= float(limit) if sign == "<=" else self.value >= float(limit)
+
+    @property
+    def verdict(self) -> str:
+        """The aim in words."""
+        return f"{self.aim}: {'kept' if self.kept else 'MISSED'}" if self.aim else ""
+
+
+def machine() -> str:
+    """Return what this ran on."""
+    names = re.findall(r"model name\s*: (.*)", Path("/proc/cpuinfo").read_text(encoding="utf-8"))
+    load = os.getloadavg()[0]
+    return f"{len(os.sched_getaffinity(0))} cores, {names[0]}; load {load:.1f}"
+
+
+def as_row(figure: Figure) -> str:
+    """Return a figure as a line of a Markdown table."""
+    return f"| {figure.what} | {figure.value:.3g} {figure.unit} | {figure.verdict} |"
 
 
 def bundled() -> list[Capture]:

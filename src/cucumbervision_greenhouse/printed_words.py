@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from datetime import date
 
-from cucumbervision_greenhouse.exports.page_words import PageWords
+from cucumbervision_greenhouse.exports.writers import PageWords
 from cucumbervision_greenhouse.language import day_month_words, decimal_words, language, marked
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.resources import crop_titles, settings

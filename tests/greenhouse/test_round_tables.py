@@ -103,7 +103,7 @@ def captions(test: AppTest) -> str:
 
 def test_every_fruit_and_class_is_counted_once_everywhere(store: Store, walked: str) -> None:
     profile, units = load_profile("long-cucumber"), Units("cm")
-    files = round_tables(store, walked, profile, pictures=False)
+    files = round_tables(store, walked, profile)
     lines: list[dict[str, Any]] = files["fruit"].rows
     graded = grade_round(read_round(store, walked), fruit_table(read_round(store, walked)), profile)
 
@@ -152,7 +152,7 @@ def test_every_figure_is_one_number_everywhere(store: Store, walked: str) -> Non
     one, content = find_round(store, walked), read_round(store, walked)
     table = fruit_table(content)
     graded = grade_round(content, table, profile)
-    files = round_tables(store, walked, profile, pictures=False)
+    files = round_tables(store, walked, profile)
     gone = {view.key for view in content.views if view.verdict is Verdict.REJECTED}
 
     # Numbers of fruit and their lengths.

@@ -139,7 +139,7 @@ def lists_of(test: AppTest) -> list[dict[str, Any]]:
 
 
 def tables_of(store: Store) -> RoundTables:
-    return round_tables(store, DAY.key, load_profile("long-cucumber"), pictures=False)
+    return round_tables(store, DAY.key, load_profile("long-cucumber"))
 
 
 def of_today(tables: RoundTables, scope: str) -> Counter[str]:

@@ -67,7 +67,6 @@ class Workbook:
         self.head = book.add_format(
             {"bold": True, "font_color": "white", "bg_color": HEAD_COLOR, "text_wrap": True}
         )
-        self._link = book.add_format({"font_color": "#1155CC", "underline": True})
         self._numbers = {unit: book.add_format({"num_format": f}) for unit, f in _FORMATS.items()}
 
     def __enter__(self) -> Self:
@@ -114,7 +113,7 @@ class Workbook:
         title : str
             Title of the sheet.
         columns : sequence of Column
-            The columns; cells of `picture` are names of files to link to.
+            The columns.
         rows : iterable of mapping
             The rows; each is written before the next is requested.
         frozen : int
@@ -145,9 +144,6 @@ class Workbook:
             sheet.write_boolean(line, number, cell)
         elif isinstance(cell, int | float):
             sheet.write_number(line, number, cell, column and self._numbers.get(column.unit))
-        elif column is not None and column.name == "picture" and cell is not None:
-            # Safe in a link: the name has only letters, digits, dots and dashes.
-            sheet.write_url(line, number, f"external:{cell}", self._link, "picture")
         elif cell not in (None, ""):
             sheet.write_string(line, number, str(cell_value(cell)))
 

@@ -6,20 +6,17 @@ import hashlib
 import math
 import time
 from collections import Counter
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cucumbervision._version import __version__
 from cucumbervision.about import LICENCE, source_offer
-from cucumbervision.capture.source import safe_name
 from cucumbervision.crop.grades import grade
 from cucumbervision.errors import CucumberVisionError, ForecastError
 from cucumbervision.methods.flags import flag_remarks
 from cucumbervision.run.fields import FIELDS, Field, read_fields, utc
-from cucumbervision_greenhouse.exports.fruit_pictures import fruit_pictures
 from cucumbervision_greenhouse.forecast.picking import PickKind, pick_list, plan_work
 from cucumbervision_greenhouse.rounds.forecasting import date_after, day_0_s, forecast_today
 from cucumbervision_greenhouse.rounds.from_store import read_round
@@ -32,7 +29,7 @@ from cucumbervision_greenhouse.rounds.merge_and_link import DAY_S, row_counts
 from cucumbervision_greenhouse.store.records import FruitRow
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from cucumbervision.crop.profiles import CropProfile
     from cucumbervision.run.fields import Cell
@@ -43,7 +40,6 @@ if TYPE_CHECKING:
     from cucumbervision_greenhouse.store.repository import Store
 
 
-PICTURES = "pictures"
 _BIN_CM = 2
 
 Line = dict[str, Any]
@@ -57,7 +53,6 @@ def round_tables(
     profile_name: str = "",
     days: int = 7,
     rates: Rates | None = None,
-    pictures: bool = True,
 ) -> RoundTables:
     """Build all tables of a round.
 
@@ -75,8 +70,6 @@ def round_tables(
         Number of days of the forecast.
     rates : Rates, optional
         Picking rates for hours and crates.
-    pictures : bool
-        Include small pictures.
 
     Raises
     ------
@@ -92,7 +85,6 @@ def round_tables(
     table = fruit_table(content)
     now_s = time.time()
     forecast, note = _forecast(store, view, content, profile, days, now_s)
-    pictures_of = _pictures(store, content, table, view.name) if pictures else {}
     measured_with = store.artifacts(round_key)
     called = profile_name or (profile.title if profile else view.profile)
     provenance = _provenance(measured_with.values(), profile, called, len(content.stops))
@@ -102,14 +94,12 @@ def round_tables(
         "summary": [_summary(view, content, table, forecast, called)],
         "rows": row_counts(content),
         "fruit": (
-            {**line, "picture": pictures_of.get(line["key"], ("",))[0]}
-            | {"hashes": hashes.get(line["stop_key"])}
+            {**line, "hashes": hashes.get(line["stop_key"])}
             for line in _fruit_lines(table, profile, forecast)
         ),
         "stops": (
-            {"number": n, "stop": stop, "picture": pictures_of.get(stop.key, ("",))[0]}
+            {"number": n, "stop": stop, "hashes": hashes.get(stop.key)}
             | {"captures": len(stop.captures), "failures": len(stop.failures)}
-            | {"hashes": hashes.get(stop.key)}
             for n, stop in enumerate(content.stops, 1)
         ),
         "forecast": [] if forecast is None else _forecast_lines(forecast, today_s),
@@ -119,10 +109,10 @@ def round_tables(
     }
     return RoundTables(
         title=view.name or view.key,
+        walked=date_after(view.walked_s, 0).isoformat(),
         provenance=_about(view, provenance),
         tables={name: ExportTable.of(name, table_lines) for name, table_lines in lines.items()},
         bins=_length_bins([100 * x for x in hanging_lengths_m(table)]),
-        pictures=dict(pictures_of.values()),
         note=note,
     )
 
@@ -141,26 +131,6 @@ def _forecast(
         return forecast_today(store, view, profile, now_s, content, days=days), ""
     except ForecastError as error:
         return None, str(error)
-
-
-def _pictures(
-    store: Store, content: RoundContent, table: Sequence[FruitRow], called: str
-) -> dict[str, tuple[str, Callable[[], bytes]]]:
-    """Return name and factory of each picture, by the keys of fruit and stops."""
-    makers: dict[str, Callable[[], bytes]] = {
-        stop.key: partial(store.images.read, stop.thumbnail)
-        for stop in content.stops
-        if stop.thumbnail is not None and store.images.path(stop.thumbnail).is_file()
-    }
-    makers.update(fruit_pictures(store, content.key, table))
-    places = [(stop.key, stop.row, f"stop-{n:03d}") for n, stop in enumerate(content.stops, 1)]
-    places += [(line.key, line.row, f"fruit-{line.number:04d}") for line in table]
-    pictures = {}
-    for key, row, what in places:
-        if key in makers:
-            name = safe_name("_".join(filter(None, (called, row and f"row-{row}", what))))
-            pictures[key] = f"{PICTURES}/{name}.jpg", makers[key]
-    return pictures
 
 
 def _hashes(used: Sequence[ArtifactRecord]) -> dict[str, str]:
@@ -378,6 +348,8 @@ class RoundTables:
     ----------
     title : str
         Name of the round, or its key.
+    walked : str
+        The local date of its captures.
     provenance : mapping
         Software, source, time, key of the round, and hashes of configuration, models, calibration
         and profile, as JSON values.
@@ -386,17 +358,15 @@ class RoundTables:
         'provenance', in this order.
     bins : tuple of (from_cm, to_cm, fruit)
         Histogram of the lengths on the plant.
-    pictures : mapping of str to callable
-        Functions that create the JPEG files, by the name in the column `picture`.
     note : str
         Reason for a missing forecast.
     """
 
     title: str
+    walked: str
     provenance: Mapping[str, Any]
     tables: Mapping[str, ExportTable]
     bins: tuple[tuple[int, int, int], ...] = ()
-    pictures: Mapping[str, Callable[[], bytes]] = field(default_factory=dict)
     note: str = ""
 
     def __getitem__(self, name: str) -> ExportTable:

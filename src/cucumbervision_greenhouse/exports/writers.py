@@ -4,27 +4,73 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
+from cucumbervision.crop.grades import WITHOUT_CLASS
 from cucumbervision.errors import MissingExtraError, wrap_os_errors
 from cucumbervision.files import write_csv, write_json
 from cucumbervision.run.tables import Workbook, write_parquet
 from cucumbervision_greenhouse.exports import ExportFormat
 from cucumbervision_greenhouse.exports.build import ExportTable
-from cucumbervision_greenhouse.exports.page_words import ENGLISH
-from cucumbervision_greenhouse.forecast.picking import PickKind
+from cucumbervision_greenhouse.forecast.picking import PickKind, hours_words
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator, Sequence
+    from collections.abc import Collection, Iterator, Sequence
 
     from jinja2 import Template
 
     from cucumbervision.run.fields import Cell
     from cucumbervision_greenhouse.exports.build import RoundTables
-    from cucumbervision_greenhouse.exports.page_words import PageWords
+
+
+@dataclass(frozen=True)
+class PageWords:
+    """The language of the printed page.
+
+    Parameters
+    ----------
+    code : str
+        Its code, as in HTML.
+    text : callable
+        Translates a text of the page, or of a table's cell, from English.
+    decimals : callable
+        Writes the decimal mark of a number that has a point.
+    day : callable
+        Writes a date that is given as in ISO 8601.
+    hours : callable
+        Writes hours of work.
+    crop : callable
+        Gives the title of a crop profile by its name.
+    inches : bool
+        Lengths are in inches and positions in feet, instead of in centimetres and metres.
+
+    Examples
+    --------
+    >>> PageWords().class_name("I"), PageWords().class_name("too long")
+    ('class I', 'too long')
+    """
+
+    code: str = "en"
+    text: Callable[[str], str] = str
+    decimals: Callable[[str], str] = str
+    day: Callable[[str], str] = str
+    hours: Callable[[float], str] = hours_words
+    crop: Callable[[str], str] = str
+    inches: bool = False
+
+    def class_name(self, name: str) -> str:
+        """Return the name of a class for people."""
+        if name in WITHOUT_CLASS:
+            return self.text(name)
+        return self.text("class {name}").format(name=name)
+
+
+ENGLISH = PageWords()
 
 
 def write_exports(
@@ -41,7 +87,7 @@ def write_exports(
     tables : RoundTables
         The round.
     out : Path
-        Output folder; created if missing. Pictures are written to `pictures/`.
+        Output folder; created if missing.
     formats : collection of ExportFormat
         Formats to write.
     words : PageWords
@@ -50,7 +96,7 @@ def write_exports(
     Returns
     -------
     list of Path
-        The written files, without pictures.
+        The written files.
 
     Raises
     ------
@@ -70,16 +116,9 @@ def write_exports(
         out.mkdir(parents=True, exist_ok=True)
         with TemporaryDirectory(prefix=".export-", dir=out) as folder:
             half = Path(folder)
-            for name, make in tables.pictures.items():
-                (half / name).parent.mkdir(exist_ok=True)
-                (half / name).write_bytes(make())
             kinds = [kind for kind in ExportFormat if kind in formats]
             written = [path for kind in kinds for path in writers[kind](tables, half)]
-            for path in [path for path in half.rglob("*") if path.is_file()]:
-                target = out / path.relative_to(half)
-                target.parent.mkdir(exist_ok=True)
-                path.replace(target)
-        return [out / path.relative_to(half) for path in written]
+            return [path.replace(out / path.name) for path in written]
 
 
 def _write_csv(tables: RoundTables, out: Path) -> list[Path]:
@@ -126,7 +165,7 @@ SHEETS = {
     "rows": ("Rows", 0),
     "provenance": ("Provenance", 0),
 }
-_NOT_PRINTED = frozenset({"key", "picture", "config_sha256"})
+_NOT_PRINTED = frozenset({"key", "config_sha256"})
 
 
 def _write_workbook(tables: RoundTables, out: Path) -> list[Path]:
@@ -226,7 +265,7 @@ def render_sheet(tables: RoundTables, words: PageWords = ENGLISH) -> str:
             if summary[name] is not None and (summary[name] or name not in _WORTH_SAYING)
         ],
         where=filter(None, (summary["house"], words.crop(str(summary["profile"] or "")))),
-        day=str(summary["started_utc"])[:10],
+        walked=tables.walked,
         simulated=summary["simulated"],
         bins=tables.bins,
         most=max((count for *_, count in tables.bins), default=0) or 1,

@@ -124,5 +124,5 @@ def test_days_have_the_date_of_the_house(
     store: Store, in_zone: Callable[[str], None], zone: str, date: str
 ) -> None:
     in_zone(zone)
-    tables = round_tables(store, WALK.key, load_profile("long-cucumber"), pictures=False)
+    tables = round_tables(store, WALK.key, load_profile("long-cucumber"))
     assert [tables[name].rows[0]["date"] for name in ("forecast", "work")] == [date, date]

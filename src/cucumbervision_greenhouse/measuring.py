@@ -28,7 +28,7 @@ from cucumbervision_greenhouse.rounds.adding import (
 )
 from cucumbervision_greenhouse.rounds.poses import placed_fruit, stored_pose
 from cucumbervision_greenhouse.rounds.stop_records import fruit_record, stored_calibration
-from cucumbervision_greenhouse.store.records import DetectionFilter, Verdict
+from cucumbervision_greenhouse.store.records import Verdict
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -443,10 +443,9 @@ def _refuse_copy(
     InstancesError
         Naming that fruit.
     """
-    only = DetectionFilter(stop_key=stop.key)
-    for view in store.detections(stop.round_key, only, shapes=True):
-        number = view.fruit
-        if view.capture != capture.name or number == but or view.verdict is Verdict.REJECTED:
+    for view in store.detections(stop.round_key, shapes=True):
+        number, place = view.fruit, (view.stop_key, view.capture)
+        if place != (stop.key, capture.name) or number == but or view.verdict is Verdict.REJECTED:
             continue
         if view.mask is None:
             continue

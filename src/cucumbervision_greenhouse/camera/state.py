@@ -18,7 +18,7 @@ from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.rounds.demonstration import DEMONSTRATION
 from cucumbervision_greenhouse.rounds.walking import next_place, sides_of
 from cucumbervision_greenhouse.store.marks import TAKE_BACK
-from cucumbervision_greenhouse.store.records import DetectionFilter, Verdict
+from cucumbervision_greenhouse.store.records import Verdict
 from cucumbervision_greenhouse.words import (
     action_words,
     added_words,
@@ -134,8 +134,8 @@ def _last_stop(round_summary: Round, last: StopRecord) -> dict[str, Any]:
     record, profile = store.stop(last.key), resources.profile_of(round_summary)[1]
     views = [
         view
-        for view in store.detections(last.round_key, DetectionFilter(stop_key=last.key))
-        if view.verdict is not Verdict.REJECTED
+        for view in store.detections(last.round_key)
+        if view.stop_key == last.key and view.verdict is not Verdict.REJECTED
     ]
     grades = {view.key: grade(view, profile) for view in views}
     names = {key: graded.label for key, graded in grades.items()}

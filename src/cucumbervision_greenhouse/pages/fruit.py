@@ -27,7 +27,7 @@ from cucumbervision_greenhouse.pages.page_elements import button, draw_undo, pic
 from cucumbervision_greenhouse.round_tables import GradedRound, figure_lines
 from cucumbervision_greenhouse.rounds.fruit_table import least_sure_first
 from cucumbervision_greenhouse.rounds.stop_records import stored_calibration
-from cucumbervision_greenhouse.store.records import DetectionDetail, DetectionFilter, Verdict
+from cucumbervision_greenhouse.store.records import DetectionDetail, Verdict
 from cucumbervision_greenhouse.words import (
     grade_words,
     interval_words,
@@ -263,11 +263,10 @@ def _others(detail: DetectionDetail) -> list[dict[str, Any]]:
 
 def _of_picture(view: FruitRow) -> list[FruitRow]:
     """Return all fruit of the picture that a view is of."""
-    only = DetectionFilter(stop_key=view.stop_key)
     return [
         detection
-        for detection in resources.store().detections(view.round_key, only)
-        if detection.capture == view.capture
+        for detection in resources.store().detections(view.round_key)
+        if (detection.stop_key, detection.capture) == (view.stop_key, view.capture)
     ]
 
 

@@ -21,7 +21,7 @@ from cucumbervision_greenhouse.pages.round_choice import label_options
 from cucumbervision_greenhouse.round_tables import GradedRound
 from cucumbervision_greenhouse.rounds.demonstration import is_demonstration
 from cucumbervision_greenhouse.rounds.fruit_table import hanging_lengths_m, on_the_plant
-from cucumbervision_greenhouse.store.records import DetectionFilter, Verdict
+from cucumbervision_greenhouse.store.records import Verdict
 from cucumbervision_greenhouse.words import (
     grade_words,
     interval_words,
@@ -202,11 +202,11 @@ def _listed(graded: GradedRound) -> list[FruitRow]:
     """Return the fruit that pass the viewer's filters, in the order that was chosen."""
     chosen = {name: st.session_state.get(f"only_{name}") for name in _FILTERS}
     row, label, verdict, reading_filter = chosen.values()
-    only = DetectionFilter(row=row, verdict=verdict)
     fruit = [
         view
         for view in (graded.deleted if verdict is Verdict.REJECTED else graded.fruit)
-        if only.keeps(view)
+        if row in (None, view.row)
+        and verdict in (None, view.verdict)
         and label in (None, graded.grades[view.key].label)
         and (reading_filter is None or reading_filter in _with(view))
     ]

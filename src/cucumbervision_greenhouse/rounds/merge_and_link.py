@@ -28,7 +28,7 @@ from cucumbervision_greenhouse.rounds.poses import sign_of_side
 from cucumbervision_greenhouse.rounds.row_fruit import row_fruit
 from cucumbervision_greenhouse.rounds.stop_alignment import prior_stops
 from cucumbervision_greenhouse.rounds.walking import refuse_taken
-from cucumbervision_greenhouse.store.links import LinkKind, LinkRecord, Position
+from cucumbervision_greenhouse.store.links import LinkKind, LinkRecord
 from cucumbervision_greenhouse.store.marks import MOVE_ROUND, STOP_EDITS
 
 if TYPE_CHECKING:
@@ -121,7 +121,7 @@ def merge_round(store: Store, round_key: str) -> list[RowCounts]:
     """
     by_hand = store.links(round_key)
     links: list[LinkRecord] = []
-    positions: dict[str, Position] = {}
+    positions: dict[str, tuple[float, float]] = {}
     reports = []
     for row in read_round(store, round_key).rows:
         merged = _merged(row, by_hand)
@@ -129,8 +129,7 @@ def merge_round(store: Store, round_key: str) -> list[RowCounts]:
             first, second = row.fruit_keys[a], row.fruit_keys[b]
             links.append(LinkRecord(LinkKind.SAME, first, second, chance))
         along = merged.stops.at_m[:, ALONG].tolist(), merged.stops.sd_m[:, ALONG].tolist()
-        for key, at_m, sd_m in zip(row.stop_keys, *along, strict=True):
-            positions[key] = Position(at_m, sd_m)
+        positions |= dict(zip(row.stop_keys, zip(*along, strict=True), strict=True))
         fruit = len(np.unique(merged.cluster)) + row.unplaced
         reports.append(_report(row, merged, fruit))
     store.save_merging(round_key, links, positions)

@@ -267,9 +267,6 @@ class Database:
         self._images = images
         self._signed_by = self._device = ""
 
-    def __repr__(self) -> str:
-        return f"<{type(self).__name__} {self.name}>"
-
     def signed(self, by: str, device: str = "") -> Self:
         """Return the same database, with this person's name in the log of manual actions.
 
@@ -283,11 +280,6 @@ class Database:
     def name(self) -> str:
         """The database's name, without its password."""
         return named(self.engine.url)
-
-    @property
-    def has_images(self) -> bool:
-        """Whether the folder of the pictures is known."""
-        return self._images is not None
 
     @property
     def images(self) -> ImageStore:

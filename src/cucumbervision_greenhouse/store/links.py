@@ -1,13 +1,13 @@
-"""Links between detections, and the groups and representative views that follow from them."""
+"""Links between detections, and the groups that follow from them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable
 
 
 class LinkKind(StrEnum):
@@ -29,15 +29,7 @@ class LinkRecord:
     by_hand: bool = False
 
 
-@dataclass(frozen=True)
-class Position:
-    """A position along a row, and its standard deviation; metres."""
-
-    at_m: float
-    sd_m: float | None = None
-
-
-def group_detections(keys: Iterable[str], links: Iterable[LinkRecord]) -> dict[str, frozenset[str]]:
+def group_detections(keys: Iterable[str], links: Iterable[LinkRecord]) -> list[set[str]]:
     """Group the detections that links identify as the same fruit.
 
     What was linked by hand joins first, then the surest. A link that would bring two detections
@@ -52,20 +44,20 @@ def group_detections(keys: Iterable[str], links: Iterable[LinkRecord]) -> dict[s
 
     Returns
     -------
-    dict
-        For each detection all that are the same fruit, itself among them.
+    list of set
+        The detections of each fruit.
 
     Examples
     --------
     >>> same, apart = LinkKind.SAME, LinkKind.APART
     >>> links = [LinkRecord(same, "a", "b", 0.9), LinkRecord(same, "b", "c", 0.5)]
-    >>> sorted(group_detections("abcd", links)["a"])
-    ['a', 'b', 'c']
-    >>> sorted(group_detections("abcd", [*links, LinkRecord(apart, "a", "c", by_hand=True)])["a"])
-    ['a', 'b']
+    >>> [sorted(group) for group in group_detections("abcd", links)]
+    [['a', 'b', 'c'], ['d']]
+    >>> parted = [*links, LinkRecord(apart, "a", "c", by_hand=True)]
+    >>> [sorted(group) for group in group_detections("abcd", parted)]
+    [['a', 'b'], ['c'], ['d']]
     """
     groups = {key: {key} for key in keys}
-    shared: dict[int, frozenset[str]] = {}
     foes: dict[str, set[str]] = {}
     same = []
     for link in links:
@@ -84,55 +76,4 @@ def group_detections(keys: Iterable[str], links: Iterable[LinkRecord]) -> dict[s
         large |= small
         for key in small:
             groups[key] = large
-    return {key: shared.setdefault(id(group), frozenset(group)) for key, group in groups.items()}
-
-
-class Candidate(NamedTuple):
-    """How well a view can represent its fruit: higher is better, the first field counts first."""
-
-    not_rejected: bool
-    measured: bool
-    complete: bool
-    view_score: float
-
-
-class FruitGroup(NamedTuple):
-    """The views of one fruit: the representative one, their number, when it was first picked."""
-
-    best: str
-    views: int
-    picked_s: float | None
-
-
-def representative_views(
-    candidates: Mapping[str, Candidate], picked_s: Mapping[str, float], links: Iterable[LinkRecord]
-) -> dict[str, FruitGroup]:
-    """Return the group of each detection, with its representative view.
-
-    That is a view that was not rejected, before one with a length, before one of the whole fruit,
-    before one with a higher view score, before the first.
-
-    Parameters
-    ----------
-    candidates : mapping of str to Candidate
-        The detections in the order of their stops.
-    picked_s : mapping of str to float
-        When those that were marked so were picked.
-    links : iterable of LinkRecord
-        Their links.
-
-    Examples
-    --------
-    >>> views = {"a": Candidate(True, True, True, 0.4), "b": Candidate(True, True, True, 0.7)}
-    >>> representative_views(views, {"a": 9.0}, [LinkRecord(LinkKind.SAME, "a", "b")])["a"]
-    FruitGroup(best='b', views=2, picked_s=9.0)
-    """
-    place = {key: -number for number, key in enumerate(candidates)}
-    group_of: dict[str, FruitGroup] = {}
-    for key, group in group_detections(candidates, links).items():
-        if key not in group_of:
-            best = max(group, key=lambda view: (*candidates[view], place[view]))
-            times = [picked_s[view] for view in group if view in picked_s]
-            one_fruit = FruitGroup(best, len(group), min(times, default=None))
-            group_of.update(dict.fromkeys(group, one_fruit))
-    return group_of
+    return list({id(group): group for group in groups.values()}.values())

@@ -15,8 +15,8 @@ from sqlalchemy import and_, delete, func, insert, or_, select, update
 from cucumbervision.errors import StoreConflictError, StoreError
 from cucumbervision.names import checked_name, house_key, same_house
 from cucumbervision_greenhouse.store.engine import DEVICE, SIGNED_BY, Database
-from cucumbervision_greenhouse.store.links import LinkKind, LinkRecord, group_detections
-from cucumbervision_greenhouse.store.records import Verdict, checked_key, record_json
+from cucumbervision_greenhouse.store.links import LinkKind, LinkRecord
+from cucumbervision_greenhouse.store.records import Verdict, record_json
 from cucumbervision_greenhouse.store.schema import CAPTURES, FRUIT, LINKS, MARKS, ROUNDS, STOPS
 
 if TYPE_CHECKING:
@@ -45,6 +45,7 @@ _LINK_KINDS = {
     "link-growth": LinkKind.GROWTH,
     "unlink-growth": LinkKind.APART,
 }
+"""Marks of links by hand, which the dashboard of 0.1.0 made; they still hold."""
 _PLACE = ("row", "side", "position_m", "step", "note", "mirrored")
 
 
@@ -79,24 +80,7 @@ class Marks(Database):
         return self._mark("unpick", fruit)
 
     def correct(self, key: str, row: FruitRow) -> int:
-        """Replace a fruit's row by one with a corrected outline; the first one is kept.
-
-        Raises
-        ------
-        StoreConflictError
-            If its number is another fruit's.
-        """
-        with self.reading() as connection:
-            number = connection.execute(
-                select(FRUIT.c.fruit).where(FRUIT.c.key == checked_key(key, "fruit"))
-            ).scalar()
-        if number is not None and number != row.fruit:
-            raise StoreConflictError(
-                "fruit {key} has another number than {number}",
-                remedy="measure the fruit that the mask belongs to",
-                key=key,
-                number=row.fruit,
-            )
+        """Replace a fruit's row by one with a corrected outline; the first one is kept."""
         return self._mark("correct", [key], {"row": record_json({**row.cells, **row.shape})})
 
     def _mark(self, kind: str, keys: Sequence[str], details: dict[str, Any] | None = None) -> int:
@@ -105,53 +89,6 @@ class Marks(Database):
             return write_mark(
                 connection, kind, fruit[-1].round_id, [line.key for line in fruit], details
             )
-
-    def merge(self, first: str, second: str) -> int:
-        """Record that two views of a round are one fruit, with all that each is merged with.
-
-        Earlier decisions that separated the two groups end.
-        """
-        with self.writing() as connection:
-            a, b = find_fruit(connection, [first, second])
-            links = links_of(connection, a.round_id)
-            keys = {a.key, b.key, *(end for link in links for end in (link.first, link.second))}
-            group = group_detections(keys, links)
-            ends = [
-                [link.first, link.second]
-                for link in links
-                if link.kind is LinkKind.APART
-                and {group[link.first], group[link.second]} == {group[a.key], group[b.key]}
-            ]
-            return _link(connection, "merge", [a, b], {"ends": ends})
-
-    def unmerge(self, key: str) -> int:
-        """Record that a view is of another fruit than all that it is merged with.
-
-        Raises
-        ------
-        StoreError
-            If it is merged with none.
-        """
-        with self.writing() as connection:
-            [fruit] = find_fruit(connection, [key])
-            links = links_of(connection, fruit.round_id)
-            keys = {fruit.key, *(end for link in links for end in (link.first, link.second))}
-            others = sorted(group_detections(keys, links)[fruit.key] - {fruit.key})
-            if not others:
-                raise StoreError(
-                    "fruit {key} is merged with none", remedy="see its group", key=fruit.key
-                )
-            return _link(connection, "unmerge", [fruit, *find_fruit(connection, others)])
-
-    def link_growth(self, earlier: str, later: str) -> int:
-        """Record that a fruit of a later round is this fruit of an earlier one."""
-        with self.writing() as connection:
-            return _link(connection, "link-growth", find_fruit(connection, [earlier, later]))
-
-    def unlink_growth(self, earlier: str, later: str) -> int:
-        """Record that two fruit of different rounds are not one."""
-        with self.writing() as connection:
-            return _link(connection, "unlink-growth", find_fruit(connection, [earlier, later]))
 
     def place_stop(self, stop: StopRecord, seen: StopRecord | None = None) -> int:
         """Set where a stop was taken, and its name; its fitted position is discarded.
@@ -313,7 +250,6 @@ def find_fruit(connection: Connection, keys: Sequence[str]) -> list[Any]:
     StoreError
         If one is not there, or none was named.
     """
-    keys = [checked_key(key, "fruit") for key in keys]
     if not keys:
         raise StoreError("no fruit was named", remedy="name at least one")
     fruit: dict[str, Any] = {}
@@ -348,7 +284,7 @@ def round_id_of(connection: Connection, key: str, *, remedy: str = "see `round l
     StoreError
         If it is not there, with this remedy.
     """
-    query = select(ROUNDS.c.id).where(ROUNDS.c.key == checked_key(key, "round"))
+    query = select(ROUNDS.c.id).where(ROUNDS.c.key == key)
     round_id = connection.execute(query).scalar()
     if round_id is None:
         raise StoreError("round {key} is not in the store", remedy=remedy, key=key)
@@ -443,24 +379,6 @@ def _links_by_hand(connection: Connection, round_id: int) -> dict[frozenset[str]
     return {pair: link for pair, link in links.items() if pair <= there}
 
 
-def _link(
-    connection: Connection, kind: str, fruit: list[Any], details: dict[str, Any] | None = None
-) -> int:
-    """Link the first fruit with the others by hand, or part them."""
-    rounds = [line.round_id for line in fruit]
-    places = {LinkKind.SAME: 1, LinkKind.GROWTH: 2}
-    is_pair = len({line.id for line in fruit}) == len(fruit) > 1
-    if not is_pair or len(set(rounds)) != places.get(_LINK_KINDS[kind], len(set(rounds))):
-        keys = " and ".join(line.key for line in fruit)
-        raise StoreError(
-            "{keys} are not two fruit that can be linked so",
-            remedy="merge two of one round, link growth between two rounds",
-            keys=keys,
-        )
-    details = {**(details or {}), "rounds": sorted(set(rounds))}
-    return write_mark(connection, kind, rounds[-1], [line.key for line in fruit], details)
-
-
 def forget_links(connection: Connection, kind: LinkKind, rounds: tuple[int, int]) -> None:
     """Remove the links that an algorithm made between two rounds, or within one."""
     connection.execute(
@@ -495,7 +413,7 @@ def line_of(connection: Connection, table: Table, key: str) -> Any:
         If it is not there.
     """
     what = "stop" if table is STOPS else "round"
-    query = select(table).where(table.c.key == checked_key(key, what))
+    query = select(table).where(table.c.key == key)
     line = connection.execute(query.with_for_update(key_share=True)).one_or_none()
     if line is None or line.deleted:
         raise StoreError(
@@ -544,17 +462,3 @@ def _change_line(connection: Connection, details: dict[str, Any], *, restore: bo
     line = update(table).where(table.c.key == details["key"], *unchanged)
     if connection.execute(line.values(**new, **fitted)).rowcount != 1:
         raise StoreConflictError("it was changed again since", remedy="undo the later change first")
-
-
-def original_names(connection: Connection, round_key: str) -> dict[str, str]:
-    """Return the name and house that a round had at first, of those that were changed."""
-    changes = (
-        select(MARKS.c.details)
-        .join(ROUNDS, ROUNDS.c.id == MARKS.c.round_id)
-        .where(ROUNDS.c.key == round_key, MARKS.c.kind.in_(("rename-round", MOVE_ROUND)))
-        .order_by(MARKS.c.id.desc())
-    )
-    names: dict[str, str] = {}
-    for details in connection.execute(changes).scalars():
-        names |= details["before"]
-    return names

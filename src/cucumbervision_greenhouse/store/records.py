@@ -9,15 +9,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 from cucumbervision.errors import StoreError
 from cucumbervision.methods.flags import is_length_unknown, is_lower_bound
 from cucumbervision.methods.result import Length
 from cucumbervision.run.fields import STORED_FIELDS, stored_length
-
-if TYPE_CHECKING:
-    from cucumbervision_greenhouse.store.links import LinkRecord
 
 Point: TypeAlias = tuple[float, ...]
 
@@ -61,27 +58,6 @@ def key_of(*parts: object) -> str:
     'dc51d2ee-b492-5df0-b26a-3d3a83575247'
     """
     return str(uuid.uuid5(_NAMESPACE, json.dumps([str(part) for part in parts])))
-
-
-def checked_key(key: str, what: str) -> str:
-    """Return a key in canonical form.
-
-    Raises
-    ------
-    StoreError
-        If it is not a UUID.
-
-    Examples
-    --------
-    >>> checked_key("DC51D2EEB4925DF0B26A3D3A83575247", "stop")
-    'dc51d2ee-b492-5df0-b26a-3d3a83575247'
-    """
-    try:
-        return str(uuid.UUID(key))
-    except (ValueError, AttributeError, TypeError):
-        raise StoreError(
-            f"{what} key {key!r} is not a UUID", remedy="take one from records.new_key()"
-        ) from None
 
 
 @dataclass(frozen=True)
@@ -417,42 +393,6 @@ class StopRecord:
 
 
 @dataclass(frozen=True)
-class DetectionFilter:
-    """Which fruit a list holds; what is None does not matter.
-
-    Parameters
-    ----------
-    row, stop_key : str, optional
-        Of that row or stop.
-    verdict : Verdict, optional
-        So marked.
-    min_length_m : float, optional
-        From that length, metres; fruit without a length are left out then.
-    best : bool
-        Only the representative view of each fruit: every fruit once.
-    """
-
-    row: str | None = None
-    stop_key: str | None = None
-    verdict: Verdict | None = None
-    min_length_m: float | None = None
-    best: bool = False
-
-    def keeps(self, fruit: FruitRow) -> bool:
-        """Return whether a fruit belongs into the list."""
-        conditions = (
-            (self.row, fruit.row),
-            (self.stop_key, fruit.stop_key),
-            (self.verdict, fruit.verdict),
-        )
-        if any(want is not None and want != has for want, has in conditions):
-            return False
-        if self.min_length_m is not None and (fruit.length_m or 0.0) < self.min_length_m:
-            return False
-        return fruit.best or not self.best
-
-
-@dataclass(frozen=True)
 class LogEntry:
     """What a person decided.
 
@@ -496,23 +436,17 @@ class DetectionDetail:
     ----------
     view : FruitRow
         As in lists, with its mask, keypoints and path.
-    original : FruitRow
-        As it was first measured.
     capture : CaptureRecord
-        Its capture, with all fruit of it.
+        Its capture, with all fruit of it as they were first measured.
     stop : StopRecord
         Its stop, with all captures.
-    links : tuple of LinkRecord
-        What it is linked to.
     log : tuple of LogEntry
         What was done to it by hand, newest first.
     """
 
     view: FruitRow
-    original: FruitRow
     capture: CaptureRecord
     stop: StopRecord
-    links: tuple[LinkRecord, ...]
     log: tuple[LogEntry, ...]
 
 

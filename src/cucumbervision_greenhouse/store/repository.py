@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import fields, replace
 from math import hypot
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from sqlalchemy import and_, func, insert, or_, select, update
+from sqlalchemy import and_, func, insert, select, update
 from sqlalchemy.dialects import postgresql, sqlite
 
-from cucumbervision.errors import StoreConflictError, StoreError, wrap_reader_errors
+from cucumbervision.errors import StoreError, wrap_reader_errors
 from cucumbervision.names import checked_name, same_house
 from cucumbervision_greenhouse.store.engine import database_url, make_engine, named, prepare
 from cucumbervision_greenhouse.store.images import ImageStore
-from cucumbervision_greenhouse.store.links import Candidate, LinkKind, representative_views
+from cucumbervision_greenhouse.store.links import LinkKind, group_detections
 from cucumbervision_greenhouse.store.marks import (
     IS_ACTIVE,
     NOT_UNDONE,
@@ -27,7 +27,6 @@ from cucumbervision_greenhouse.store.marks import (
     links_of,
     lock_rounds,
     marks_of,
-    original_names,
     round_id_of,
     write_mark,
 )
@@ -41,7 +40,6 @@ from cucumbervision_greenhouse.store.records import (
     Saved,
     StopRecord,
     Verdict,
-    checked_key,
     key_of,
     record_json,
 )
@@ -60,8 +58,7 @@ if TYPE_CHECKING:
 
     from sqlalchemy import ColumnElement, Connection, Table
 
-    from cucumbervision_greenhouse.store.links import LinkRecord, Position
-    from cucumbervision_greenhouse.store.records import DetectionFilter
+    from cucumbervision_greenhouse.store.links import LinkRecord
 
 ValueT = TypeVar("ValueT")
 
@@ -161,32 +158,17 @@ class Store(Marks):
 
         Raises
         ------
-        StoreConflictError
-            If another round has its key.
         NameRefusedError
             If one of its names is none.
         """
-        sent_house = checked_name(record.house, "house")
-        cells = {
-            **{name: getattr(record, name) for name in _ROUND_CELLS},
-            "key": checked_key(record.key, "round"),
-            "name": checked_name(record.name, "round's name"),
-        }
+        house = checked_name(record.house, "house")
+        cells = {name: getattr(record, name) for name in _ROUND_CELLS}
+        cells["name"] = checked_name(record.name, "round's name")
         with self.writing() as connection:
-            there = or_(~ROUNDS.c.deleted, ROUNDS.c.key == cells["key"])
-            houses = select(ROUNDS.c.house).where(there).order_by(ROUNDS.c.id)
-            cells["house"] = same_house(sent_house, connection.execute(houses).scalars())
-            if _insert_new(connection, ROUNDS, cells) is not None:
-                return Saved.NEW
-            columns = [ROUNDS.c[name] for name in _ROUND_CELLS]
-            line = connection.execute(select(*columns).where(ROUNDS.c.key == cells["key"])).one()
-            first = {**line._mapping, **original_names(connection, cells["key"])}
-            if first != {**cells, "house": same_house(sent_house, [first["house"]])}:
-                raise StoreConflictError(
-                    f"round {cells['key']} is already stored with another content",
-                    remedy="give what differs a key of its own, from records.new_key()",
-                )
-            return Saved.ALREADY_THERE
+            houses = select(ROUNDS.c.house).where(~ROUNDS.c.deleted).order_by(ROUNDS.c.id)
+            cells["house"] = same_house(house, connection.execute(houses).scalars())
+            line_id = _insert_new(connection, ROUNDS, cells)
+        return Saved.ALREADY_THERE if line_id is None else Saved.NEW
 
     def save_stop(self, stop: StopRecord) -> Saved:
         """Add a stop with all that is in it; one sent again under its key changes nothing.
@@ -239,7 +221,6 @@ class Store(Marks):
         StoreError
             If the stop is not there, or has no such capture.
         """
-        stop_key = checked_key(stop_key, "stop")
         query = (
             select(CAPTURES.c.id, CAPTURES.c.number, STOPS.c.round_id)
             .join(STOPS, STOPS.c.id == CAPTURES.c.stop_id)
@@ -267,22 +248,18 @@ class Store(Marks):
         self,
         round_key: str,
         links: Sequence[LinkRecord],
-        positions: Mapping[str, Position] | None = None,
+        positions: Mapping[str, tuple[float, float]] | None = None,
     ) -> None:
-        """Replace a round's links of `LinkKind.SAME` and its stops' fitted positions."""
+        """Replace a round's links of `LinkKind.SAME`, and its stops' fitted positions with SD."""
         with self.writing() as connection:
             round_id = round_id_of(connection, round_key)
             lock_rounds(connection, [round_id])
             forget_links(connection, LinkKind.SAME, (round_id, round_id))
             stops = update(STOPS).where(STOPS.c.round_id == round_id)
             connection.execute(stops.values(fitted_m=None, fitted_sd_m=None))
-            for key, position in (positions or {}).items():
-                fitted = {"fitted_m": position.at_m, "fitted_sd_m": position.sd_m}
-                line = stops.where(STOPS.c.key == key).values(**fitted)
-                if connection.execute(line).rowcount != 1:
-                    raise StoreError(
-                        f"stop {key} is not in round {round_key}", remedy="see stops()"
-                    )
+            for key, (at_m, sd_m) in (positions or {}).items():
+                fitted = stops.where(STOPS.c.key == key).values(fitted_m=at_m, fitted_sd_m=sd_m)
+                connection.execute(fitted)
             _add_links(connection, LinkKind.SAME, links, (round_id, round_id))
 
     def save_growth(self, earlier: str, later: str, links: Sequence[LinkRecord]) -> None:
@@ -305,10 +282,6 @@ class Store(Marks):
 
         Much faster than `rounds`, which counts the fruit of all.
         """
-        try:
-            key = checked_key(key, "round")
-        except StoreError:  # no round has such a key
-            return None
         return next(iter(self._rounds(~ROUNDS.c.deleted, ROUNDS.c.key == key)), None)
 
     def _rounds(self, *only: ColumnElement[bool]) -> list[Round]:
@@ -327,7 +300,7 @@ class Store(Marks):
 
     def stop_is_deleted(self, key: str) -> bool | None:
         """Return whether a stop was deleted; None where it never was in the store."""
-        query = select(STOPS.c.deleted).where(STOPS.c.key == checked_key(key, "stop"))
+        query = select(STOPS.c.deleted).where(STOPS.c.key == key)
         with self.reading() as connection:
             return connection.execute(query).scalar()
 
@@ -362,7 +335,6 @@ class Store(Marks):
         StoreError
             If it is not there.
         """
-        key = checked_key(key, "stop")
         columns = [STOPS.c[name] for name in (*_STOP_CELLS, "artifacts")]
         query = (
             select(STOPS.c.id, ROUNDS.c.key.label("round_key"), *columns)
@@ -394,18 +366,12 @@ class Store(Marks):
                 for key, artifacts in connection.execute(query.order_by(STOPS.c.id))
             }
 
-    def detections(
-        self, round_key: str, only: DetectionFilter | None = None, *, shapes: bool = False
-    ) -> list[FruitRow]:
-        """Return a round's fruit in the order of its stops, or those that a filter keeps.
-
-        `DetectionFilter(best=True)` gives every fruit once, however often it was seen; `shapes`
-        adds mask, keypoints and path.
-        """
+    def detections(self, round_key: str, *, shapes: bool = False) -> list[FruitRow]:
+        """Return a round's fruit in the order of its stops; `shapes` adds mask, keypoints, path."""
         with self.reading() as connection, self._decoding():
-            round_id = round_id_of(connection, round_key)
-            views = _views_of(connection, round_key, round_id, shapes=shapes)
-        return [view for view in views if only is None or only.keeps(view)]
+            return _views_of(
+                connection, round_key, round_id_of(connection, round_key), shapes=shapes
+            )
 
     def detection(self, key: str) -> DetectionDetail:
         """Return one fruit of one capture with everything.
@@ -422,17 +388,13 @@ class Store(Marks):
             views = _views_of(connection, round_key, line.round_id)
             [view] = [view for view in views if view.key == line.key]
             [shaped] = _views_of(connection, round_key, line.round_id, line.key, shapes=True)
-            links = links_of(connection, line.round_id)
             log = _log_of(connection, round_key, None)
         stop = self.stop(view.stop_key)
         [capture] = [capture for capture in stop.captures if capture.name == view.capture]
-        [original] = [row for row in capture.fruit if row.fruit == view.fruit]
         return DetectionDetail(
             view=view.with_(**shaped.shape),
-            original=original,
             capture=capture,
             stop=stop,
-            links=tuple(link for link in links if line.key in (link.first, link.second)),
             log=tuple(mark for mark in log if line.key in mark.fruit),
         )
 
@@ -468,17 +430,8 @@ class Store(Marks):
         in particular, as by a command.
         """
         with self.reading() as connection, self._decoding():
-            round_id = round_id_of(connection, round_key)
-            of_round = select(FRUIT.c.key).where(FRUIT.c.round_id == round_id)
-            fruit = set(connection.execute(of_round).scalars())
-            lines = [
-                line
-                for line in _log_of(connection, None, _UNDONE_AMONG)
-                if not line.undone
-                and line.kind not in NOT_UNDONE
-                # Growth is logged in the later of two rounds.
-                and (line.round_key == round_key or not fruit.isdisjoint(line.fruit))
-            ]
+            log = _log_of(connection, round_key, _UNDONE_AMONG)
+        lines = [line for line in log if not line.undone and line.kind not in NOT_UNDONE]
         by = [(line.details.get("device", ""), line.by) for line in lines]
         own = (self._device, self._signed_by)
         of_person = [line for line, who in zip(lines, by, strict=True) if who == own]
@@ -532,40 +485,24 @@ def _add_links(
         return
     keys = sorted({key for link in links for key in (link.first, link.second)})
     ids = {line.key: line for line in find_fruit(connection, keys)}
-    lines = {}
-    for link in links:
-        first, second = ids[link.first], ids[link.second]
-        between = (first.round_id, second.round_id)
-        if between != rounds or first.id == second.id or link.kind != kind:
-            raise StoreError(
-                f"the link of {link.first} and {link.second} is not '{kind}' of these rounds",
-                remedy="link two fruit of the rounds named, the earlier first",
-            )
-        lines[frozenset((first.id, second.id))] = {
-            "kind": str(kind),
-            "first_id": first.id,
-            "second_id": second.id,
-            "first_round_id": rounds[0],
-            "second_round_id": rounds[1],
-            "score": link.score,
-        }
-    connection.execute(insert(LINKS), list(lines.values()))
+    lines = [
+        {"kind": str(kind), "first_id": ids[link.first].id, "second_id": ids[link.second].id}
+        | {"first_round_id": rounds[0], "second_round_id": rounds[1], "score": link.score}
+        for link in links
+    ]
+    connection.execute(insert(LINKS), lines)
 
 
 def _checked_stop(stop: StopRecord) -> StopRecord:
-    """Return a stop with its keys in canonical form, after checking its names.
+    """Return a stop after checking its names.
 
     Texts that are no names, such as the files that captures are from, are made readable.
     """
     check_place(stop)
     for capture in stop.captures:
         checked_name(capture.name, "capture's name", longest=None)
-        _check_once([row.fruit for row in capture.fruit], capture.name, "fruit have number")
-    _check_once([capture.name for capture in stop.captures], stop.key, "captures are called")
     return replace(
         stop,
-        key=checked_key(stop.key, "stop"),
-        round_key=checked_key(stop.round_key, "round"),
         captures=tuple(
             replace(
                 capture, source=_storable(capture.source), provenance=_storable(capture.provenance)
@@ -593,12 +530,6 @@ def _storable(value: ValueT) -> ValueT:
     if isinstance(value, list | tuple):
         return type(value)(_storable(part) for part in value)
     return value
-
-
-def _check_once(names: Sequence[object], source: str, what: str) -> None:
-    double = next((name for name, times in Counter(names).items() if times > 1), None)
-    if double is not None:
-        raise StoreError(f"two {what} {double}", source=source, remedy="give each its own")
 
 
 def _stop_of(
@@ -704,21 +635,23 @@ def _views_of(
 
 
 def _grouped(views: list[FruitRow], links: list[LinkRecord]) -> list[FruitRow]:
-    """Return views with the group of each; a fruit is picked when the first of its views was."""
-    candidates = {
-        view.key: Candidate(
-            view.verdict is not Verdict.REJECTED,
-            view.length_m is not None,
-            not view.partial,
-            view.view_score,
-        )
-        for view in views
-    }
-    picked = {view.key: view.picked_s for view in views if view.picked_s is not None}
-    groups = representative_views(candidates, picked, links)
-    for view in views:
-        group = groups[view.key]
-        view.group, view.views, view.picked_s = group.best, group.views, group.picked_s
+    """Return views with the group of each; a fruit is picked when the first of its views was.
+
+    A view that was not rejected represents its fruit before one with a length, before one of the
+    whole fruit, before one with a higher view score, before the first.
+    """
+    of_key, place = {view.key: view for view in views}, {v.key: -n for n, v in enumerate(views)}
+
+    def goodness(view: FruitRow) -> tuple[object, ...]:
+        shown = view.verdict is not Verdict.REJECTED, view.length_m is not None, not view.partial
+        return (*shown, view.view_score, place[view.key])
+
+    for group in group_detections(of_key, links):
+        members = [of_key[key] for key in group]
+        best = max(members, key=goodness).key
+        picked_s = min((v.picked_s for v in members if v.picked_s is not None), default=None)
+        for view in members:
+            view.group, view.views, view.picked_s = best, len(members), picked_s
     return views
 
 
@@ -738,7 +671,7 @@ def _log_of(connection: Connection, round_key: str | None, limit: int | None) ->
         .limit(limit)
     )
     if round_key is not None:
-        query = query.where(ROUNDS.c.key == checked_key(round_key, "round"))
+        query = query.where(ROUNDS.c.key == round_key)
     return [
         LogEntry(
             number=line.id,

@@ -22,7 +22,8 @@ from cucumbervision.capture.source import example_captures
 from cucumbervision_greenhouse import resources, round_caches
 from cucumbervision_greenhouse.camera.state import walk
 from cucumbervision_greenhouse.rounds.demonstration import DEMONSTRATION, round_for_capture
-from cucumbervision_greenhouse.store.records import Round, StopRecord, key_of, new_key
+from cucumbervision_greenhouse.store.links import LinkKind, LinkRecord
+from cucumbervision_greenhouse.store.records import Round, StopRecord, Verdict, key_of, new_key
 from cucumbervision_greenhouse.store.repository import Store, open_store
 
 pytestmark = pytest.mark.usefixtures("fresh_caches")
@@ -53,7 +54,9 @@ def test_days_that_are_not_linked_are_no_change(house: Path) -> None:
     words = "No fruit of one day could be told to be one of the other"
     assert words in said(app("days", round=later.key))
     with open_store(house) as store:
-        store.link_growth(first[0], last[0])
+        growth = LinkRecord(LinkKind.GROWTH, first[0], last[0], 1.0)
+        store.save_growth(WALK, later.key, [growth])
+        store.set_verdict(last[:1], Verdict.ACCEPTED)  # a mark, by which pages see a change
     assert words not in said(app("days", round=later.key))
 
 

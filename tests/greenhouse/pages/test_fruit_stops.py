@@ -8,6 +8,7 @@ from streamlit.testing.v1 import AppTest
 from cucumbervision_greenhouse.rounds.from_store import read_round
 from cucumbervision_greenhouse.rounds.fruit_table import fruit_table
 from cucumbervision_greenhouse.settings import Units
+from cucumbervision_greenhouse.store.links import LinkKind, LinkRecord
 from cucumbervision_greenhouse.store.records import key_of
 from cucumbervision_greenhouse.store.repository import open_store
 from cucumbervision_greenhouse.words import length_words
@@ -33,7 +34,7 @@ def lines_of(fruit_key: str) -> list[str]:
 def test_a_fruit_shows_its_views_and_the_length_of_all_together(house: Path) -> None:
     with open_store(house) as store:
         first, second, alone, *_ = store.detections(WALK)
-        store.merge(first.key, second.key)
+        store.save_merging(WALK, [LinkRecord(LinkKind.SAME, first.key, second.key, 1.0)])
         seen = [view for view in store.detections(WALK) if view.views == 2]
         best = next(view for view in seen if view.best)
         (line,) = (x for x in fruit_table(read_round(store, WALK)) if x.key == best.key)

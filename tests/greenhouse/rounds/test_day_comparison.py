@@ -84,6 +84,12 @@ def store(tmp_path: Path) -> Iterator[Store]:
         yield opened
 
 
+def link(store: Store, first: str, last: str) -> None:
+    """Link a fruit of a day with that of a later one, surely."""
+    rounds = [store.detection(key).view.round_key for key in (first, last)]
+    store.save_growth(*rounds, [LinkRecord(LinkKind.GROWTH, first, last, 1.0)])
+
+
 def compare(store: Store, *rounds: str) -> DayComparison:
     contents = [read_round(store, key) for key in rounds]
     first, last = contents[0], contents[-1]
@@ -125,7 +131,7 @@ def test_every_fruit_of_both_days_has_one_change(store: Store) -> None:
         store, MONDAY, 1.0, {-0.2: Length(0.10), 0.0: Length(0.20), 0.2: Length(0.15)}
     )
     grown, new = save_stop(store, TUESDAY, 1.0, {-0.2: Length(0.13), 0.1: Length(0.05)})
-    store.link_growth(grew, grown)
+    link(store, grew, grown)
     store.pick([picked])
     comparison = compare(store, MONDAY, TUESDAY)
     changes = {key: change_of(comparison, key) for key in (grew, picked, gone, grown, new)}
@@ -148,7 +154,7 @@ def test_a_fruit_ticked_off_but_seen_again_is_still_on_the_plant(store: Store) -
     [before] = save_stop(store, MONDAY, 1.0, {0.0: Length(0.10)})
     [after] = save_stop(store, TUESDAY, 1.0, {0.0: Length(0.12)})
     store.pick([before])
-    store.link_growth(before, after)
+    link(store, before, after)
     comparison = compare(store, MONDAY, TUESDAY)
     assert change_of(comparison, after) is Change.STAYED
     assert (comparison.counts().picked, comparison.counts().returned) == (0, 1)
@@ -167,7 +173,7 @@ def test_lengths_that_mean_different_things_give_no_growth(
 ) -> None:
     [first] = save_stop(store, MONDAY, 1.0, {0.0: before})
     [last] = save_stop(store, TUESDAY, 1.0, {0.0: after})
-    store.link_growth(first, last)
+    link(store, first, last)
     [fruit] = compare(store, MONDAY, TUESDAY).changes
     assert (fruit.change, fruit.growth_m_per_day) == (Change.STAYED, None)
 
@@ -176,7 +182,7 @@ def test_lengths_that_mean_different_things_give_no_growth(
 def test_a_length_that_is_a_bound_or_unknown_gives_no_growth(store: Store, flags: str) -> None:
     [first] = save_stop(store, MONDAY, 1.0, {0.0: Length(0.10)}, flags=flags)
     [last] = save_stop(store, TUESDAY, 1.0, {0.0: Length(0.12)})
-    store.link_growth(first, last)
+    link(store, first, last)
     assert compare(store, MONDAY, TUESDAY).counts().growth_m_per_day is None
 
 
@@ -243,8 +249,8 @@ def test_a_fruit_is_followed_through_the_days_between(store: Store) -> None:
     [monday] = save_stop(store, MONDAY, 1.0, {0.0: Length(0.10)})
     [tuesday] = save_stop(store, TUESDAY, 1.0, {0.0: Length(0.12)})
     [wednesday] = save_stop(store, WEDNESDAY, 1.0, {0.0: Length(0.16)})
-    store.link_growth(monday, tuesday)
-    store.link_growth(tuesday, wednesday)
+    link(store, monday, tuesday)
+    link(store, tuesday, wednesday)
     [fruit] = compare(store, MONDAY, TUESDAY, WEDNESDAY).changes
     assert fruit.growth_m_per_day == pytest.approx(0.03, abs=1e-6)
     days: list[list[FruitRow]] = [
@@ -253,6 +259,6 @@ def test_a_fruit_is_followed_through_the_days_between(store: Store) -> None:
     ]
     keys = [[view.key for view in views] for views in days]
     assert keys == [[monday, tuesday, wednesday]] * 3
-    store.unlink_growth(monday, tuesday)
+    store.save_growth(MONDAY, TUESDAY, [])
     assert [view.key for view in fruit_days(store, WEDNESDAY, wednesday)] == [tuesday, wednesday]
     assert change_of(compare(store, MONDAY, TUESDAY, WEDNESDAY), monday) is Change.GONE

@@ -17,7 +17,7 @@ from cucumbervision_greenhouse.rounds.from_store import (
     read_round,
     stored_merging,
 )
-from cucumbervision_greenhouse.store.links import LinkKind, LinkRecord, Position
+from cucumbervision_greenhouse.store.links import LinkKind, LinkRecord
 from cucumbervision_greenhouse.store.records import (
     CaptureRecord,
     FruitRow,
@@ -197,7 +197,7 @@ def test_pairs_by_hand_are_of_this_row_and_of_people(store: Store) -> None:
 def test_a_merged_row_comes_back_as_it_was_saved(store: Store) -> None:
     row = rows(store, stop(1, fruit(1), fruit(2)), stop(2, fruit(1)))["3"]
     first, second, third = row.fruit_keys
-    place = {key_of(MORNING.key, 2): Position(0.97, 0.005)}
+    place = {key_of(MORNING.key, 2): (0.97, 0.005)}
     store.save_merging(MORNING.key, [LinkRecord(LinkKind.SAME, second, third, 0.9)], place)
     content = read_round(store, MORNING.key)
     merged = stored_merging(content, content.rows[0])

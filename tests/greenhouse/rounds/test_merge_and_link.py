@@ -24,7 +24,7 @@ from cucumbervision_greenhouse.rounds.forecasting import (
 from cucumbervision_greenhouse.rounds.from_store import RoundContent, find_round, read_round
 from cucumbervision_greenhouse.rounds.fruit_table import fruit_table
 from cucumbervision_greenhouse.rounds.merge_and_link import link_rounds, merge_round
-from cucumbervision_greenhouse.store.links import LinkKind
+from cucumbervision_greenhouse.store.links import LinkKind, LinkRecord
 from cucumbervision_greenhouse.store.records import (
     ArtifactRecord,
     CaptureRecord,
@@ -95,21 +95,6 @@ def test_a_fruit_has_the_length_of_all_its_whole_views(store: Store, row: Walk) 
         assert line.length.sides is not None
         assert line.length.sides[0] == line.length_m
     assert several > 5
-
-
-def test_what_is_done_by_hand_survives_merging(store: Store, row: Walk) -> None:
-    del row
-    many = next(line for line in fruit_table(read_round(store, MORNING)) if line.views > 2)
-    store.signed("kim").unmerge(many.key)
-    rest = [line for line in fruit_table(read_round(store, MORNING)) if line.key != many.key]
-    single = [line for line in rest if line.views == 1]
-    one, other = single[0], next(v for v in single[1:] if v.capture != single[0].capture)
-    store.signed("kim").merge(one.key, other.key)
-    merge_round(store, MORNING)
-    groups = {view.key: (view.group, view.views) for view in store.detections(MORNING)}
-    assert groups[many.key] == (many.key, 1)
-    assert groups[one.key][0] == groups[other.key][0]
-    assert [action.kind for action in store.log(MORNING)] == ["merge", "unmerge"]
 
 
 def test_growth_is_linked_and_forecast(store: Store, row: Walk, save_walk: Save) -> None:
@@ -197,8 +182,13 @@ def test_growth_is_followed_through_three_rounds_and_no_other_is_read(
         stop = StopRecord(key_of("s", day), record.key, row="1", captures=(capture,))
         store.save_stop(stop)
         keys.append((record.key, store.detections(record.key)[0].key))
-    store.link_growth(keys[0][1], keys[1][1])
-    store.link_growth(keys[1][1], keys[2][1])
+
+    def save_link(first: tuple[str, str], last: tuple[str, str]) -> None:
+        link = LinkRecord(LinkKind.GROWTH, first[1], last[1], 1.0)
+        store.save_growth(first[0], last[0], [link])
+
+    save_link(keys[0], keys[1])
+    save_link(keys[1], keys[2])
     links = growth_links(store, keys[2][0])
     assert sorted((link.day0, link.day1) for link in links) == [(2.0, 3.0), (3.0, 4.0)]
     assert {link.fruit_id for link in links} == {keys[2][1]}

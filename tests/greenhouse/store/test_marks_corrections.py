@@ -1,22 +1,14 @@
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from cucumbervision.errors import StoreConflictError, StoreError
+from cucumbervision.errors import StoreError
 from cucumbervision.methods.result import Length
 from cucumbervision_greenhouse.store.links import LinkKind, LinkRecord
-from cucumbervision_greenhouse.store.records import (
-    DetectionFilter,
-    FruitRow,
-    Round,
-    Verdict,
-    key_of,
-    new_key,
-)
+from cucumbervision_greenhouse.store.marks import round_id_of, write_mark
+from cucumbervision_greenhouse.store.records import FruitRow, Round, Verdict, key_of, new_key
 from cucumbervision_greenhouse.store.repository import Store, open_store
 
 if TYPE_CHECKING:
@@ -72,10 +64,8 @@ def test_a_verdict_is_given_changed_and_taken_away(store: Store, keys: list[str]
         lambda s, k: s.pick(k, at_s=9.0),
         lambda s, k: s.unpick(k),
         lambda s, k: s.correct(k[0], FruitRow(1, length=Length(0.5))),
-        lambda s, k: s.merge(k[0], k[3]),
-        lambda s, k: s.unmerge(k[1]),
     ],
-    ids=["reject", "clear", "pick", "unpick", "correct", "merge", "unmerge"],
+    ids=["reject", "clear", "pick", "unpick", "correct"],
 )
 def test_every_action_can_be_taken_back(store: Store, keys: list[str], act: Any) -> None:
     store.set_verdict(keys[:2], Verdict.ACCEPTED)
@@ -134,84 +124,57 @@ def test_undo_is_of_the_round_that_was_named(store: Store, make_stop: MakeStop) 
 def test_a_corrected_fruit_stands_for_the_first_which_is_kept(
     store: Store, keys: list[str]
 ) -> None:
-    original = store.detection(keys[1]).original
+    original = store.detection(keys[1]).capture.fruit[1]
     corrected = original.with_(length=Length(0.333), mask="45", offset_m=0.7, flags="by-hand")
     store.signed("ana").correct(keys[1], corrected)
     detail = store.detection(keys[1])
     assert (detail.view.cells, detail.view.shape) == (corrected.cells, corrected.shape)
-    assert detail.original == original
+    assert detail.capture.fruit[1] == original
     assert [line.kind for line in detail.log] == ["correct"]
     listed = store.detections(WALK)[1]
     assert listed.corrected
     assert (listed.cells, listed.mask) == (corrected.cells, None)
     assert listed.along_m == pytest.approx(0.4 + 0.7)
-    assert store.detections(WALK, DetectionFilter(min_length_m=0.33)) == [listed]
 
 
-def test_a_correction_is_of_the_fruit_whose_number_it_has(store: Store, keys: list[str]) -> None:
-    with pytest.raises(StoreConflictError, match="another number than 7"):
-        store.correct(keys[1], FruitRow(7))
-
-
-def test_merged_views_are_one_fruit_of_which_the_best_stands(store: Store, keys: list[str]) -> None:
+def test_links_by_hand_of_earlier_versions_hold_until_they_are_taken_back(
+    store: Store, keys: list[str]
+) -> None:
     a, b, c, d = keys
-    assert [one.best for one in store.detections(WALK)] == [True] * 4
-    store.signed("ana").merge(a, c)
+
+    def mark(kind: str, *fruit: str, **details: Any) -> int:
+        with store.writing() as connection:
+            walk = round_id_of(connection, WALK)
+            return write_mark(connection, kind, walk, fruit, {"rounds": [walk], **details})
+
+    parted = mark("unmerge", c, a, b)
+    around = [LinkRecord(LinkKind.SAME, *pair, 0.9) for pair in ((a, b), (b, d), (d, c), (b, c))]
+    store.save_merging(WALK, around)
+    assert c not in group(store, a)
+    merged = mark("merge", c, a, ends=[[c, a], [c, b]])
+    assert group(store, c) == {a, b, c, d}
+    for number in (merged, parted):
+        store.undo(number=number)
+    assert group(store, a) == {a, b, c, d}
+
+
+def test_the_best_view_of_a_fruit_represents_it(store: Store, keys: list[str]) -> None:
+    a, b, c, d = keys
+    store.save_merging(WALK, [LinkRecord(LinkKind.SAME, a, c, 0.9)])
     store.correct(c, FruitRow(1, length=Length(0.2), view_score=0.9))
 
     def shown() -> list[FruitRow]:
-        return store.detections(WALK, DetectionFilter(best=True))
+        return [view for view in store.detections(WALK) if view.best]
 
     assert [(one.key, one.views) for one in shown()] == [(b, 1), (c, 2), (d, 1)]
-    assert store.detection(a).view.group == c
-    assert store.detection(a).links == (LinkRecord(LinkKind.SAME, a, c, None, True),)
     # A rejected view does not stand, and a pick counts for every view.
     store.set_verdict([c], Verdict.REJECTED)
     store.pick([c], at_s=7.0)
     assert [(one.key, one.picked_s) for one in shown()] == [(a, 7.0), (b, None), (d, None)]
-
-
-def test_a_view_is_parted_from_its_group_and_stays_so(store: Store, keys: list[str]) -> None:
-    a, b, c, d = keys
-    links = [LinkRecord(LinkKind.SAME, *pair, 0.9) for pair in ((a, b), (b, c), (a, c))]
-    store.save_merging(WALK, links)
-    store.unmerge(c)
-    assert group(store, a) == {a, b}
-    # An algorithm that goes another way about it does not bring them together either.
-    around = [LinkRecord(LinkKind.SAME, *pair, 0.9) for pair in ((a, b), (b, d), (d, c), (b, c))]
-    store.save_merging(WALK, around)
-    assert c not in group(store, a)
-    with pytest.raises(StoreError, match="is merged with none"):
-        store.unmerge(next(k for k in keys if len(group(store, k)) == 1))
-
-
-def test_merging_by_hand_ends_what_parted_the_groups(store: Store, keys: list[str]) -> None:
-    a, b, c, _ = keys
-    links = [LinkRecord(LinkKind.SAME, *pair, 0.9) for pair in ((a, b), (b, c))]
-    store.save_merging(WALK, links)
-    store.unmerge(c)
-    store.merge(c, a)
-    assert group(store, b) == {a, b, c}
-
-
-def test_only_what_can_be_one_fruit_is_linked(
-    store: Store, keys: list[str], make_stop: MakeStop
-) -> None:
-    store.save_stop(make_stop(1, round=Round(NEXT_DAY, started_s=87400.0)))
-    later = store.detections(NEXT_DAY)[0].key
-    wrongs: tuple[Callable[[], int], ...] = (
-        lambda: store.merge(keys[0], keys[0]),
-        lambda: store.merge(keys[0], later),
-        lambda: store.link_growth(keys[0], keys[1]),
-    )
-    for wrong in wrongs:
-        with pytest.raises(StoreError, match="not two fruit that can be linked so"):
-            wrong()
     with pytest.raises(StoreError, match="is not in the store"):
-        store.merge(keys[0], new_key())
+        store.pick([new_key()])
     with pytest.raises(StoreError, match="no fruit was named"):
         store.pick([])
-    assert store.log() == []
 
 
 def test_more_fruit_than_a_command_takes_are_picked_at_once(
@@ -221,24 +184,6 @@ def test_more_fruit_than_a_command_takes_are_picked_at_once(
     store.save_stop(make_stop(1, 8))
     store.pick([detection.key for detection in store.detections(WALK)])
     assert all(detection.picked_s for detection in store.detections(WALK))
-
-
-def test_growth_is_linked_and_unlinked_by_hand(
-    store: Store, keys: list[str], make_stop: MakeStop
-) -> None:
-    store.save_stop(make_stop(1, round=Round(NEXT_DAY, started_s=87400.0)))
-    later = store.detections(NEXT_DAY)[0].key
-    store.link_growth(keys[0], later)
-    expected = LinkRecord(LinkKind.GROWTH, keys[0], later, None, True)
-    assert store.links(WALK) == store.links(NEXT_DAY, LinkKind.GROWTH) == [expected]
-    # A link between days makes no group within one.
-    assert store.detections(WALK)[0].views == 1
-    store.unlink_growth(keys[0], later)
-    assert [link.kind for link in store.links(WALK)] == [LinkKind.APART]
-    store.save_growth(WALK, NEXT_DAY, [replace(expected, by_hand=False)])
-    assert [link.kind for link in store.links(WALK)] == [LinkKind.APART]
-    store.undo(NEXT_DAY)
-    assert store.links(WALK) == [expected]
 
 
 def test_two_pages_that_mark_one_fruit_both_are_heard(
@@ -261,7 +206,7 @@ def test_a_fruit_added_by_hand_is_a_fruit_like_others_until_it_is_taken_back(
     added = store.signed("ana").add_fruit(stop, "a", record)
     *_, view = (detection for detection in store.detections(WALK) if detection.stop_key == stop)
     assert (view.key, view.fruit, view.verdict) == (added, 3, Verdict.ACCEPTED)
-    assert store.detection(added).original == record.with_(fruit=3)
+    assert store.detection(added).capture.fruit[2] == record.with_(fruit=3)
     assert [row.fruit for row in store.stop(stop).captures[0].fruit] == [1, 2, 3]
     assert [one.fruit for one in store.rounds() if one.key == WALK] == [5]
     assert [one.fruit for one in store.stops(WALK)] == [3, 2]
@@ -274,7 +219,7 @@ def test_a_fruit_added_by_hand_is_a_fruit_like_others_until_it_is_taken_back(
         with pytest.raises(StoreError, match="is not in the store"):
             ask(added)
     second_key = store.add_fruit(stop, "a", record)
-    assert store.detection(second_key).original.fruit == 4
+    assert store.detection(second_key).view.fruit == 4
 
 
 def test_a_fruit_can_be_added_to_a_capture_without_any(store: Store, make_stop: MakeStop) -> None:

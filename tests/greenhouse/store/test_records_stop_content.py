@@ -2,17 +2,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import pytest
-
-from cucumbervision.errors import StoreError
-from cucumbervision_greenhouse.store.records import (
-    CaptureRecord,
-    FruitRow,
-    Saved,
-    StopRecord,
-    key_of,
-    new_key,
-)
+from cucumbervision_greenhouse.store.records import Saved, StopRecord, key_of, new_key
 from cucumbervision_greenhouse.store.repository import Store
 
 if TYPE_CHECKING:
@@ -34,17 +24,3 @@ def test_a_stop_with_nothing_in_it_comes_back_too(store: Store) -> None:
     assert store.stop(stop.key) == stop
     [view] = store.stops(WALK)
     assert (view.row, view.captures, view.fruit, view.thumbnail) == (None, (), 0, None)
-
-
-@pytest.mark.parametrize(
-    ("captures", "fault"),
-    [
-        ((CaptureRecord("a"), CaptureRecord("a")), "two captures are called a"),
-        ((CaptureRecord("a", fruit=(FruitRow(1), FruitRow(1))),), "two fruit have number 1"),
-    ],
-)
-def test_doubles_within_a_stop_are_refused(
-    store: Store, make_stop: MakeStop, captures: tuple[CaptureRecord, ...], fault: str
-) -> None:
-    with pytest.raises(StoreError, match=fault):
-        store.save_stop(make_stop(1, captures=captures))

@@ -1,14 +1,12 @@
 from __future__ import annotations
 
-from collections.abc import Callable
 from math import hypot
 from typing import TYPE_CHECKING
 
 import pytest
 
-from cucumbervision.errors import StoreError
-from cucumbervision_greenhouse.store.links import LinkKind, LinkRecord, Position
-from cucumbervision_greenhouse.store.records import Round, key_of, new_key
+from cucumbervision_greenhouse.store.links import LinkKind, LinkRecord
+from cucumbervision_greenhouse.store.records import Round, key_of
 from cucumbervision_greenhouse.store.repository import Store
 
 if TYPE_CHECKING:
@@ -32,7 +30,7 @@ def same(first: str, second: str, score: float | None = None) -> LinkRecord:
 
 def test_each_run_replaces_what_the_last_one_said(store: Store, keys: list[str]) -> None:
     stop = key_of(WALK, 2)
-    store.save_merging(WALK, [same(keys[0], keys[2], 0.7)], {stop: Position(0.77, 0.01)})
+    store.save_merging(WALK, [same(keys[0], keys[2], 0.7)], {stop: (0.77, 0.01)})
     assert store.links(WALK) == [same(keys[0], keys[2], 0.7)]
     view = store.stops(WALK)[1]
     assert (view.position_m, view.fitted_m, view.fitted_sd_m) == (0.8, 0.77, 0.01)
@@ -46,22 +44,6 @@ def test_each_run_replaces_what_the_last_one_said(store: Store, keys: list[str])
     assert store.stop(stop).position_m == 0.8
 
 
-def test_a_pair_named_twice_is_linked_once(store: Store, keys: list[str]) -> None:
-    store.save_merging(WALK, [same(keys[0], keys[2]), same(keys[2], keys[0])])
-    assert len(store.links(WALK)) == 1
-
-
-def test_what_was_done_by_hand_stands(store: Store, keys: list[str]) -> None:
-    store.merge(keys[0], keys[2])
-    store.save_merging(WALK, [same(keys[3], keys[1])])
-    store.unmerge(keys[1])
-    store.save_merging(WALK, [same(keys[2], keys[0], 0.1), same(keys[1], keys[3], 0.9)])
-    assert [(link.kind, link.by_hand) for link in store.links(WALK)] == [
-        (LinkKind.SAME, True),
-        (LinkKind.APART, True),
-    ]
-
-
 def test_growth_between_two_rounds(store: Store, keys: list[str]) -> None:
     growth = [LinkRecord(LinkKind.GROWTH, keys[k], keys[k + 4], 0.9) for k in (0, 1)]
     store.save_merging(WALK, [same(keys[0], keys[2])])
@@ -73,19 +55,3 @@ def test_growth_between_two_rounds(store: Store, keys: list[str]) -> None:
     # A new merging leaves growth alone.
     store.save_merging(WALK, [])
     assert store.links(WALK) == growth[:1]
-
-
-def test_what_fits_no_round_is_refused_whole(store: Store, keys: list[str]) -> None:
-    store.save_merging(WALK, [same(keys[0], keys[2])])
-    wrongs: tuple[Callable[[], None], ...] = (
-        lambda: store.save_merging(WALK, [same(keys[0], keys[1]), same(keys[0], keys[4])]),
-        lambda: store.save_merging(WALK, [same(keys[0], keys[0])]),
-        lambda: store.save_merging(WALK, [LinkRecord(LinkKind.GROWTH, keys[0], keys[1])]),
-        lambda: store.save_merging(WALK, [same(keys[0], new_key())]),
-        lambda: store.save_merging(WALK, [], {key_of(NEXT_DAY, 1): Position(0.0)}),
-        lambda: store.save_growth(WALK, NEXT_DAY, [LinkRecord(LinkKind.GROWTH, keys[4], keys[0])]),
-    )
-    for wrong in wrongs:
-        with pytest.raises(StoreError, match="is not"):
-            wrong()
-        assert store.links(WALK) == [same(keys[0], keys[2])]

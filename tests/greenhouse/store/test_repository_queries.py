@@ -2,22 +2,14 @@ from __future__ import annotations
 
 import sqlite3
 from math import hypot
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pytest
 from sqlalchemy import func, select, text
 
 from cucumbervision.errors import StoreError
 from cucumbervision_greenhouse.store.engine import begin
-from cucumbervision_greenhouse.store.records import (
-    CaptureRecord,
-    DetectionFilter,
-    FruitRow,
-    Round,
-    Verdict,
-    key_of,
-    new_key,
-)
+from cucumbervision_greenhouse.store.records import Round, Verdict, key_of, new_key
 from cucumbervision_greenhouse.store.repository import Store, open_store
 from cucumbervision_greenhouse.store.schema import METADATA
 
@@ -63,29 +55,8 @@ def test_a_list_leaves_out_what_is_heavy_and_one_fruit_has_it(
     detail = store.detection(listed.key)
     assert detail.view == listed.with_(**whole.shape)
     assert store.detections(WALK, shapes=True)[1] == detail.view
-    assert detail.original == whole
     assert (detail.capture, detail.stop) == (stop.captures[0], stop)
-    assert (detail.links, detail.log) == ((), ())
-
-
-def test_filters_keep_what_they_say(store: Store, make_stop: MakeStop) -> None:
-    store.save_stop(make_stop(1))
-    store.save_stop(make_stop(2, row="4"))
-    unmeasured = CaptureRecord("a", fruit=(FruitRow(1),))
-    store.save_stop(make_stop(3, side="right", captures=(unmeasured,)))
-    keys = [one.key for one in store.detections(WALK)]
-    store.set_verdict([keys[2]], Verdict.REJECTED)
-
-    def kept(**only: Any) -> list[int]:
-        found = store.detections(WALK, DetectionFilter(**only))
-        return [10 * (one.step or 0) + one.fruit for one in found]
-
-    assert kept() == [11, 12, 21, 22, 31]
-    assert kept(row="4") == [21, 22]
-    assert kept(stop_key=key_of(WALK, 1)) == [11, 12]
-    assert kept(min_length_m=0.115) == [12, 21, 22]
-    assert kept(verdict=Verdict.REJECTED) == [21]
-    assert kept(min_length_m=0.215, row="4") == [22]
+    assert detail.log == ()
 
 
 def test_what_is_not_there_is_said(store: Store) -> None:

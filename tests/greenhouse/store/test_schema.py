@@ -115,7 +115,9 @@ def test_what_people_decided_is_as_it_was(tmp_path: Path, version: str) -> None:
         assert (monday.name, tuesday.name) == ("Monday morning", "Tuesday")
         first, second, third, added, fourth, fifth = store.detections(monday.key)
         assert (first.length_m, first.interval_low_m, first.corrected) == (0.333, 0.32, True)
-        assert store.detection(first.key).original.length_m == pytest.approx(0.2329, abs=1e-4)
+        assert store.detection(first.key).capture.fruit[0].length_m == pytest.approx(
+            0.2329, abs=1e-4
+        )
         verdicts = [view.verdict for view in (first, second, third, added)]
         assert verdicts == [Verdict.ACCEPTED, Verdict.REJECTED, None, Verdict.ACCEPTED]
         assert third.picked_s == 1_700_000_500.0

@@ -2,13 +2,7 @@ from __future__ import annotations
 
 from itertools import permutations
 
-from cucumbervision_greenhouse.store.links import (
-    Candidate,
-    LinkKind,
-    LinkRecord,
-    group_detections,
-    representative_views,
-)
+from cucumbervision_greenhouse.store.links import LinkKind, LinkRecord, group_detections
 
 
 def same(pair: str, score: float | None = None, *, by_hand: bool = False) -> LinkRecord:
@@ -20,7 +14,7 @@ def apart(pair: str) -> LinkRecord:
 
 
 def shape(keys: str, links: list[LinkRecord]) -> set[str]:
-    return {"".join(sorted(group)) for group in group_detections(keys, links).values()}
+    return {"".join(sorted(group)) for group in group_detections(keys, links)}
 
 
 def test_links_join_whatever_their_order() -> None:
@@ -47,18 +41,3 @@ def test_two_that_must_not_meet_do_not_meet_through_others() -> None:
 def test_growth_and_other_rounds_fruit_join_nothing() -> None:
     growth = LinkRecord(LinkKind.GROWTH, "a", "b")
     assert shape("ab", [growth, same("az"), same("zb")]) == {"a", "b"}
-
-
-def test_of_a_group_the_best_view_stands() -> None:
-    candidates = {
-        "a": Candidate(True, False, True, 0.99),
-        "b": Candidate(False, True, True, 0.98),
-        "c": Candidate(True, True, True, 0.50),
-        "d": Candidate(True, True, True, 0.50),
-        "e": Candidate(True, True, False, 0.90),
-    }
-    links = [same("ab"), same("bc"), same("cd"), same("de")]
-    found = representative_views(candidates, {"b": 5.0, "d": 3.0}, links)
-    assert set(found.values()) == {("c", 5, 3.0)}
-    alone = representative_views(candidates, {}, [])
-    assert {key: one.best for key, one in alone.items()} == {key: key for key in "abcde"}

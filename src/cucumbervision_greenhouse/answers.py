@@ -15,8 +15,7 @@ from starlette.responses import JSONResponse, Response
 from cucumbervision.errors import CucumberVisionError, DiskFullError, named_error
 from cucumbervision_greenhouse import resources
 from cucumbervision_greenhouse.access import device_of
-from cucumbervision_greenhouse.core_words import words_of
-from cucumbervision_greenhouse.language import ask_for
+from cucumbervision_greenhouse.language import ask_for, words_of
 from cucumbervision_greenhouse.language import gettext as _
 
 if TYPE_CHECKING:

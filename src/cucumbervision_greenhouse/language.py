@@ -10,14 +10,16 @@ from __future__ import annotations
 import gettext as catalogues
 import json
 import re
+import string
 from contextvars import ContextVar
 from datetime import date, datetime
 from functools import lru_cache
 from html import escape
 from itertools import chain, count
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
+from cucumbervision.errors import CucumberVisionError, Message
 from cucumbervision.names import readable
 
 if TYPE_CHECKING:
@@ -270,7 +272,7 @@ _JOINER = "\u2060"  # has no width, and breaks no word
 
 
 def plain(text: object) -> str:
-    r"""Return a text that Streamlit draws literally, on one line.
+    r"""Return a text, or a message as `words_of` does, that Streamlit draws literally on one line.
 
     Examples
     --------
@@ -279,7 +281,7 @@ def plain(text: object) -> str:
     >>> plain("http://x"), plain("a :tada:")
     ('http\u2060\\://x', 'a \\:\u2060tada\\:')
     """
-    words = _FOUND_LATER.sub(rf"\1{_JOINER}", readable(" ".join(str(text).split())))
+    words = _FOUND_LATER.sub(rf"\1{_JOINER}", readable(" ".join(words_of(text).split())))
     return _LINE_STARTS.sub(r"\1\\.", _MARKS.sub(r"\\\1", words))
 
 
@@ -310,3 +312,79 @@ def told_apart(names: Mapping[Option, str]) -> dict[Option, str]:
         labels[option] = next(label for label in chain([name], numbered) if label not in used)
         used.add(labels[option])
     return labels
+
+
+# Remedies of the core that name options of commands, and what a page has instead of them.
+ON_PAGES = {
+    "calibrate this camera, or measure it without --calibration": marked(
+        "calibrate this camera, or choose no calibration in 'Settings'"
+    ),
+    "align depth to colour, so that both have one size; or, if depth has the colour camera's "
+    "field of view in fewer pixels, say so with --aligned-to color": marked(
+        "align depth to colour, so that both have one size; or, if depth has the colour camera's "
+        "field of view in fewer pixels, say aligned_to: color in the camera file sent with it"
+    ),
+    "give the colour stream's intrinsics; or, if the colour picture was aligned to depth, say so "
+    "with --aligned-to depth": marked(
+        "give the colour stream's intrinsics; or, if the colour picture was aligned to depth, "
+        "say aligned_to: depth in the camera file sent with it"
+    ),
+    "check the unit of depth (--depth-unit 0.001 is 1 mm a step)": marked(
+        "check the unit of depth (depth_unit_m: 0.001 in the camera file is 1 mm a step)"
+    ),
+    "is one step of depth really 1 mm? --depth-unit {steps} would explain it": marked(
+        "is one step of depth really 1 mm? depth_unit_m: {steps} in the camera file would "
+        "explain it"
+    ),
+    "read such depth with --depth-along ray": marked(
+        "say depth_along: ray in the camera file sent with it"
+    ),
+    "leave out --depth-along and --aligned-to": marked("leave both out of the camera file"),
+    "give the colour camera's with --intrinsics FILE": marked(
+        "give the colour camera's as an intrinsics file"
+    ),
+    "begin its name as the pictures' (cam1_intrinsics.json), or give --intrinsics": marked(
+        "begin its name as the pictures' (cam1_intrinsics.json), or send one camera file alone"
+    ),
+    "leave --input-size out, or export the network with dynamic sizes": marked(
+        "choose the input size in 'Settings'"
+    ),
+    "choose another --input-size": marked("choose the input size in 'Settings'"),
+    "put them into mask_visib/, or choose other --instances": marked(
+        "choose where fruit come from in 'Settings'"
+    ),
+    "measured as fruit: {classes}; --classes chooses among them": marked(
+        "measured as fruit: {classes}"
+    ),
+}
+
+
+class _Local(string.Formatter):
+    """Fills parts in as the language writes them."""
+
+    def format_field(self, value: Any, format_spec: str) -> str:
+        if isinstance(value, Message):
+            return words_of(value)
+        text = super().format_field(value, format_spec)
+        return decimal_words(text) if isinstance(value, float) else text
+
+
+def words_of(text: object) -> str:
+    """Return an error, a doubt or a rule of the core in the language shown.
+
+    What has no translation, or is no `Message`, stays English.
+
+    Examples
+    --------
+    >>> words_of(CucumberVisionError("no fruit", remedy="choose another --input-size"))
+    "no fruit; choose the input size in 'Settings'"
+    """
+    message = text.line if isinstance(text, CucumberVisionError) else text
+    if not isinstance(message, Message):
+        return str(text)
+    template, parts = ON_PAGES.get(message.template, message.template), message.parts
+    if isinstance(number := parts.get("n"), int):
+        template = ngettext(template, template, number)
+    else:
+        template = gettext(template)
+    return _Local().vformat(template, (), parts) if parts else template

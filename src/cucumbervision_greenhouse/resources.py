@@ -15,7 +15,6 @@ from cucumbervision.errors import CucumberVisionError
 from cucumbervision.names import house_key
 from cucumbervision.networks.registry import Registry, load_registry
 from cucumbervision_greenhouse.access import VIEWER, device_of
-from cucumbervision_greenhouse.core_words import words_of
 from cucumbervision_greenhouse.jobs import JobQueue
 from cucumbervision_greenhouse.language import (
     asked_language,
@@ -132,7 +131,7 @@ def change_settings(**changes: object) -> None:
         try:
             write_settings(chosen, settings_file(where()))
         except CucumberVisionError as error:
-            st.toast(sentence(words_of(error)), icon=":material/error:", duration="long")
+            st.toast(sentence(error), icon=":material/error:", duration="long")
 
 
 def _language() -> str:

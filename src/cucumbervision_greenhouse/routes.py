@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import tempfile
 import threading
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager, suppress
+from datetime import date
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -23,17 +25,24 @@ from starlette.routing import Route
 from cucumbervision.access import TOKEN_VARIABLE
 from cucumbervision.capture.source import safe_name
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision_greenhouse import resources, round_caches, tasks
+from cucumbervision_greenhouse import resources, round_view, tasks
 from cucumbervision_greenhouse.access import AccessGuard, Login
 from cucumbervision_greenhouse.answers import Key, Sent, answer
 from cucumbervision_greenhouse.camera.page import routes as capture_routes
-from cucumbervision_greenhouse.core_words import words_of
 from cucumbervision_greenhouse.exports import ExportFormat
 from cucumbervision_greenhouse.exports.build import RoundTables, round_tables
-from cucumbervision_greenhouse.exports.writers import render_sheet, write_exports
-from cucumbervision_greenhouse.language import sentence
-from cucumbervision_greenhouse.printed_words import printed_words
+from cucumbervision_greenhouse.exports.writers import PageWords, render_sheet, write_exports
+from cucumbervision_greenhouse.language import (
+    day_month_words,
+    decimal_words,
+    language,
+    marked,
+    sentence,
+)
+from cucumbervision_greenhouse.language import gettext as _
+from cucumbervision_greenhouse.resources import crop_titles, settings
 from cucumbervision_greenhouse.uploads import Sending
+from cucumbervision_greenhouse.words import hours_words, label_words
 
 if TYPE_CHECKING:
     from starlette.requests import Request
@@ -132,7 +141,7 @@ async def _prepared(_: st.App) -> AsyncGenerator[dict[str, object], None]:
         with suppress(CucumberVisionError, ImportError):  # a page shows the reason
             import_module("cucumbervision_greenhouse.pages.app")
             tasks.prepare()
-            round_caches.read_ahead()
+            round_view.read_ahead()
             tasks.warm_up()
 
     threading.Thread(target=prepare, name="preparing", daemon=True).start()
@@ -142,5 +151,56 @@ async def _prepared(_: st.App) -> AsyncGenerator[dict[str, object], None]:
 def _say(error: Exception) -> bool:
     """Show a named error of a callback, such as a full disk, beside the page."""
     if isinstance(error, CucumberVisionError):
-        st.toast(sentence(words_of(error)), icon=":material/error:", duration="long")
+        st.toast(sentence(error), icon=":material/error:", duration="long")
     return isinstance(error, CucumberVisionError)
+
+
+# What a cell joins of the core's words: remarks, reasons in brackets, classes that are possible.
+_JOINTS = re.compile(r"(; |: |, | \(|\)| or )")
+_LEAST = re.compile(r"at least (\d+\.\d) cm")
+_IN_CELLS = (
+    *(marked("picked"), marked("drawn, not grown"), marked("partly hidden")),
+    *(marked("ready"), marked("may be ready"), marked("no crop profile was named")),
+)
+
+
+def printed_words() -> PageWords:
+    """Return how the printed page writes in the language that is shown."""
+    titles, inches = crop_titles(), settings().unit == "in"
+    return PageWords(
+        language(),
+        printed_text,
+        decimal_words,
+        _day,
+        hours_words,
+        crop=lambda name: titles.get(name, name),
+        inches=inches,
+    )
+
+
+def printed_text(text: str) -> str:
+    """Return a text of the page in the language that is shown; of a cell, what is known of it.
+
+    Examples
+    --------
+    >>> printed_text("class II (by length)"), printed_text("an end is hidden: at least 24.1 cm")
+    ('class II (by length)', 'an end is hidden: at least 24.1 cm')
+    """
+    if (whole := _(text)) != text:
+        return whole
+    if "; " in text:
+        return "; ".join(map(printed_text, text.split("; ")))
+    return "".join(map(_part, _JOINTS.split(text)))
+
+
+def _part(text: str) -> str:
+    if bound := _LEAST.fullmatch(text):
+        length = settings().units.text(float(bound[1]) / 100)
+        return _("at least {length}").format(length=length)
+    if text.startswith("class "):
+        return label_words(text)
+    return _(text)
+
+
+def _day(day: str) -> str:
+    return day_month_words(date.fromisoformat(day))

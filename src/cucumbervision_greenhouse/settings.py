@@ -211,6 +211,21 @@ def settings_file(store: str) -> Path:
     return Path(platformdirs.user_config_dir("cucumbervision", appauthor=False)) / "dashboard.json"
 
 
+def truth_folder(store: str) -> Path:
+    """Return the folder of lengths by hand and calibrations: beside the store, or the user's own.
+
+    Examples
+    --------
+    >>> truth_folder("house.db").name
+    'house.truth'
+    """
+    if "://" not in store:
+        return Path(store).with_suffix(".truth")
+    import platformdirs
+
+    return Path(platformdirs.user_data_dir("cucumbervision", appauthor=False)) / "truth"
+
+
 def read_settings(path: Path) -> Settings:
     """Return settings from a file; the defaults where there are none, or where they are damaged.
 

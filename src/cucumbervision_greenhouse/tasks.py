@@ -11,10 +11,9 @@ from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import StoreError
 from cucumbervision.run.options import MeasureOptions
-from cucumbervision_greenhouse.jobs import Job
+from cucumbervision_greenhouse.jobs import Job, Progress, progress_of
 from cucumbervision_greenhouse.language import marked
 from cucumbervision_greenhouse.measuring import measure_waiting
-from cucumbervision_greenhouse.progress import Progress, progress_of
 from cucumbervision_greenhouse.resources import (
     measurer,
     profile_of,

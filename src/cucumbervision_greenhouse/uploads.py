@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainSerializer, PlainValidator
 
 from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.intrinsics import Intrinsics, Stream
@@ -28,7 +28,6 @@ from cucumbervision.errors import (
     UploadError,
 )
 from cucumbervision.names import LONGEST_NAME, checked_name
-from cucumbervision_greenhouse.core_words import StoredMessage
 from cucumbervision_greenhouse.rounds.adding import RoundCapture
 from cucumbervision_greenhouse.rounds.demonstration import round_for_capture
 from cucumbervision_greenhouse.rounds.walking import NextPlace, last_step, refuse_taken
@@ -59,6 +58,7 @@ def _given(name: str) -> str:
         raise ValueError(str(error)) from None
 
 
+StoredMessage = Annotated[str, PlainValidator(Message.from_json), PlainSerializer(Message.as_json)]
 FileName = Annotated[str, Field(max_length=500)]  # with its folders
 GivenName = Annotated[str, Field(max_length=LONGEST_NAME), AfterValidator(_given)]
 Length = Annotated[float, Field(ge=0, le=1000, allow_inf_nan=False)]

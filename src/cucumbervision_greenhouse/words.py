@@ -12,13 +12,13 @@ import numpy as np
 from cucumbervision.crop import grades
 from cucumbervision.crop.grades import UNDECIDED, class_name
 from cucumbervision.methods.flags import FLAGS
-from cucumbervision_greenhouse.core_words import words_of
 from cucumbervision_greenhouse.language import (
     counted,
     day_month_words,
     marked,
     moment_words,
     number_words,
+    words_of,
 )
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.rounds.demonstration import is_demonstration

@@ -22,8 +22,8 @@ GREENHOUSE = ROOT / "src/cucumbervision_greenhouse"
 MARKING = {"_", "ngettext", "counted", "marked"}
 # Words for people begin with a capital, or are several; anything else is a key, a name or a style.
 TEXT = re.compile(r"^\W*[A-Z][a-z]+\b(?!:)|[a-z] [a-z]+ [a-z]")
-LOGIC = {"crop_limits", "hand_lengths", "site_calibrations", "fruit_cloud", "map_picture"}
-SHARED = ("fruit_pictures", "progress", "round_tables", "tasks")
+LOGIC = {"fruit_cloud"}
+SHARED = ("fruit_pictures", "jobs", "round_view", "tasks")
 DRAWN = [path for path in sorted((GREENHOUSE / "pages").glob("*.py")) if path.stem not in LOGIC]
 DRAWN += [GREENHOUSE / f"{name}.py" for name in SHARED]
 

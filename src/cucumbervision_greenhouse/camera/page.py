@@ -6,7 +6,10 @@ Streamlit, and asks for news and pictures again and again.
 
 from __future__ import annotations
 
+import json
+import struct
 import time
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -17,17 +20,15 @@ from starlette.responses import FileResponse, Response
 from starlette.routing import Route
 
 from cucumbervision.capture.frames import Stop
-from cucumbervision.errors import NameRefusedError
+from cucumbervision.errors import CucumberVisionError, NameRefusedError
 from cucumbervision.names import LONGEST_NAME
 from cucumbervision.run.overlay import as_jpeg
-from cucumbervision_greenhouse import resources, round_caches, tasks
+from cucumbervision_greenhouse import resources, round_view, tasks
 from cucumbervision_greenhouse.answers import Key, Sent, answer, store_of
 from cucumbervision_greenhouse.camera import cameras, state
-from cucumbervision_greenhouse.camera.preview import newest
 from cucumbervision_greenhouse.camera.shutter import Press, Shutter
-from cucumbervision_greenhouse.core_words import words_of
-from cucumbervision_greenhouse.fruit_pictures import PICTURE_FILES
-from cucumbervision_greenhouse.language import ask_for, page_text
+from cucumbervision_greenhouse.fruit_pictures import PICTURE_FILES, depth_picture, scale_bar
+from cucumbervision_greenhouse.language import ask_for, language, marked, page_text, words_of
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.store.records import Round
 from cucumbervision_greenhouse.theme import style_sheet
@@ -35,6 +36,7 @@ from cucumbervision_greenhouse.theme import style_sheet
 if TYPE_CHECKING:
     from starlette.requests import Request
 
+    from cucumbervision_greenhouse.camera.cameras import Preview
     from cucumbervision_greenhouse.camera.shutter import Pressed
 
 
@@ -197,7 +199,7 @@ def _retry(request: Request, content: bytes) -> Any:  # noqa: ARG001
 
 @answer
 def _news(request: Request, _: bytes) -> Any:
-    return round_caches.news(request.query_params.get("round", ""))
+    return round_view.news(request.query_params.get("round", ""))
 
 
 @answer
@@ -264,3 +266,76 @@ def routes() -> list[Route]:
         Route("/api/preview", _preview),
         Route("/api/news", _news),
     ]
+
+
+# What the core advises.
+_ADVICE = (
+    marked("No depth: too near, or the lens is covered"),
+    marked("Too near: step back"),
+    marked("Too far: step closer"),
+    marked("The camera moves: hold still"),
+    marked("Many holes: avoid glare, hold still"),
+    marked("Good distance and depth"),
+)
+_LOOK_S = 0.03  # interval between checks for a new picture
+_PREVIEW_PX = 640
+_STILL_PX, _STILL_LEVELS = (64, 36), 3  # blocks of this size average a camera's noise
+
+
+def newest(source: str, shown: str) -> bytes:
+    """Return the newest picture of a source as `encoded`; nothing if it is the one shown already.
+
+    Parameters
+    ----------
+    source : str
+        'camera' or 'replay'.
+    shown : str
+        The number of the picture that a page shows; empty for none.
+    """
+    try:
+        preview = cameras.feed(source).preview()
+    except CucumberVisionError as error:
+        header = {"state": "absent", "message": words_of(error), "number": "fault"}
+        return b"" if shown == "fault" else _framed(header)
+    return b"" if shown == str(preview.number) else encoded(preview, language())
+
+
+@lru_cache(maxsize=4)  # encoded once for all viewers
+def encoded(preview: Preview, _language: str = "en") -> bytes:
+    """Return a preview as a message: the header's length, the header as JSON, colour, depth.
+
+    Two JPEGs follow the header where there is a picture; it gives the first one's length.
+    """
+    header: dict[str, Any] = {
+        "state": preview.state,
+        "message": words_of(preview.message),
+        "number": preview.number,
+    }
+    capture, quality = preview.capture, preview.quality
+    if capture is None:
+        return _framed(header)
+    color = as_jpeg(capture.color, _PREVIEW_PX)
+    units = resources.settings().units
+    depth, words = depth_picture(capture.depth_m[::2, ::2], units)
+    distance_m = None if quality is None else quality.distance_m
+    header |= {
+        "color_bytes": len(color),
+        "size": [capture.width, capture.height],
+        "name": capture.name,
+        "simulated": capture.simulated,
+        "depth": words,
+        "bar": scale_bar(capture.intrinsics, distance_m, units),
+    }
+    if quality is not None:
+        header["quality"] = {
+            "seen": f"{100 * quality.fill:.0f} %",
+            "distance": units.text(quality.distance_m),
+            "verdict": quality.verdict,
+            "advice": _(quality.advice),
+        }
+    return _framed(header, color, as_jpeg(depth, _PREVIEW_PX))
+
+
+def _framed(header: dict[str, Any], *parts: bytes) -> bytes:
+    words = json.dumps(header).encode()
+    return b"".join((struct.pack("<I", len(words)), words, *parts))

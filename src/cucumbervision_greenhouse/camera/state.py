@@ -9,11 +9,10 @@ from urllib.parse import quote
 
 from cucumbervision.crop.grades import grade
 from cucumbervision.errors import CucumberVisionError, Message, StoreError
-from cucumbervision_greenhouse import resources, round_caches, tasks
+from cucumbervision_greenhouse import resources, round_view, tasks
 from cucumbervision_greenhouse.camera import cameras
-from cucumbervision_greenhouse.core_words import words_of
 from cucumbervision_greenhouse.fruit_pictures import mask_outline, stop_layers
-from cucumbervision_greenhouse.language import counted, marked
+from cucumbervision_greenhouse.language import counted, marked, words_of
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.rounds.demonstration import DEMONSTRATION
 from cucumbervision_greenhouse.rounds.walking import next_place, sides_of
@@ -85,7 +84,7 @@ def walk(store: Store, round_key: str, source: str) -> dict[str, Any]:
         "work": progress.told,
         "first": progress.first_words or _no_photo(home, round_summary),
         "doubts": [
-            words_of(line) for x in rounds if x.key == home for line in round_caches.doubts_of(x)
+            words_of(line) for x in rounds if x.key == home for line in round_view.doubts_of(x)
         ],
         "aside": counted(
             len(aside),
@@ -321,7 +320,7 @@ def correct_fruit(store: Store, asked: SentFruit, key: str) -> dict[str, Any]:
         If there is no fruit, or it is another one.
     """
     detail = store.detection(key)
-    capture = round_caches.capture_of(detail.stop, detail.capture)
+    capture = round_view.capture_of(detail.stop, detail.capture)
     options, measurer = resources.settings().options, resources.measurer()
 
     def work(_: Job) -> int:
@@ -340,4 +339,4 @@ def _picture_of(asked: SentPicture) -> tuple[StopRecord, Capture]:
     taken = next((capture for capture in record.captures if capture.name == asked.capture), None)
     if taken is None:
         raise StoreError("this picture is not there any more", remedy="reload the page")
-    return record, round_caches.capture_of(record, taken)
+    return record, round_view.capture_of(record, taken)

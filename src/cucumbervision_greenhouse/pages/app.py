@@ -10,13 +10,13 @@ from urllib.parse import urlencode
 
 import streamlit as st
 
+from cucumbervision._version import __version__
+from cucumbervision.about import LICENCE, installed_versions, source_offer
 from cucumbervision.errors import AccessError, CucumberVisionError
 from cucumbervision_greenhouse import resources, tasks
-from cucumbervision_greenhouse.core_words import words_of
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.language import marked, plain
 from cucumbervision_greenhouse.pages import (
-    about,
     accuracy,
     days,
     forecast,
@@ -58,7 +58,7 @@ def main() -> None:
         if chosen != pages[-1]:
             footer(pages[-1])
     except CucumberVisionError as error:
-        st.error(plain(words_of(error)), icon=":material/error:")
+        st.error(plain(error), icon=":material/error:")
 
 
 def _pages() -> list[st.Page]:
@@ -72,7 +72,7 @@ def _pages() -> list[st.Page]:
         (marked("Forecast"), forecast.page, ":material/calendar_month:"),
         (marked("Accuracy"), accuracy.page, ":material/target:"),
         (marked("Settings"), settings.page, ":material/settings:"),
-        (marked("About"), about.page, ":material/info:"),
+        (marked("About"), about, ":material/info:"),
     ]
     return [
         st.Page(
@@ -150,3 +150,24 @@ def _check_guard() -> None:
 
 if __name__ == "__main__":
     main()
+
+
+def about() -> None:
+    """Draw the page 'About': the offer of the source that the AGPL-3.0, section 13, asks for."""
+    offer = source_offer()
+    st.header(_("About"))
+    words = _(
+        "CucumberVision {version} measures greenhouse cucumbers. Its licence is {licence}: "
+        "everyone who uses it over a network may have its source."
+    )
+    st.write(words.format(version=__version__, licence=LICENCE))
+    if offer.startswith("http"):
+        st.link_button(_("Source code"), offer, icon=":material/code:")
+    else:
+        st.write(_("Source code: {offer}").format(offer=plain(offer)))
+    with st.expander(_("Details"), icon=":material/list:"):
+        lines = [
+            {_("Package"): name, _("Version"): version}
+            for name, version in installed_versions().items()
+        ]
+        page_elements.table(lines)

@@ -2,34 +2,43 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import streamlit as st
 
-from cucumbervision.accuracy.site_calibration import calibrate_lengths
-from cucumbervision.errors import CucumberVisionError
-from cucumbervision_greenhouse import resources
-from cucumbervision_greenhouse.core_words import words_of
-from cucumbervision_greenhouse.language import gettext as _
-from cucumbervision_greenhouse.language import plain, sentence
-from cucumbervision_greenhouse.pages import page_elements
-from cucumbervision_greenhouse.pages.hand_lengths import truth_folder
-from cucumbervision_greenhouse.pages.site_calibrations import (
-    SavedCalibration,
-    calibrate_by_grid,
-    effect_words,
-    save_calibration,
-    saved_calibrations,
+from cucumbervision.accuracy.calibration_file import (
+    Form,
+    read_site_calibration,
+    write_site_calibration,
 )
+from cucumbervision.accuracy.site_calibration import calibrate_camera, calibrate_lengths
+from cucumbervision.capture.source import safe_name
+from cucumbervision.errors import CalibrationError, CucumberVisionError, Message
+from cucumbervision.methods.result import MethodName, calibration_key
+from cucumbervision.names import checked_name
+from cucumbervision_greenhouse import resources
+from cucumbervision_greenhouse.language import counted, decimal_words, number_words, plain, sentence
+from cucumbervision_greenhouse.language import gettext as _
+from cucumbervision_greenhouse.pages import page_elements
+from cucumbervision_greenhouse.rounds.stop_records import stored_capture
+from cucumbervision_greenhouse.settings import truth_folder
+from cucumbervision_greenhouse.words import round_day
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from cucumbervision.accuracy.calibration_file import SiteCalibration
     from cucumbervision.accuracy.own_truth import Measured
     from cucumbervision.accuracy.truth import Truth
+    from cucumbervision.capture.frames import Capture
+    from cucumbervision.methods.result import LengthDefinition
+    from cucumbervision_greenhouse.settings import Units
     from cucumbervision_greenhouse.store.records import Round
+    from cucumbervision_greenhouse.store.repository import Store
+
 
 _GRID_MM = 1.0, 200.0, 10.0  # between the lines: least, most, usual
 
@@ -69,7 +78,7 @@ def _make(label: str, calibrate: Callable[[], SiteCalibration]) -> None:
                 save_calibration(truth_folder(resources.where()), calibrate())
             )
         except (CucumberVisionError, ValueError) as error:
-            st.error(sentence(words_of(error)), icon=":material/error:")
+            st.error(sentence(error), icon=":material/error:")
     path = st.session_state.get(made)
     for calibration in saved_calibrations(truth_folder(resources.where())):
         if str(calibration.path) == path:
@@ -108,7 +117,7 @@ def _draw(calibration: SavedCalibration, key: str) -> None:
         says, use = st.columns([3, 1], vertical_alignment="center")
         says.markdown(f"**{plain(calibration.title)}**")
         if calibration.site is None:
-            says.warning(sentence(words_of(calibration.fault)), icon=":material/error:")
+            says.warning(sentence(calibration.fault), icon=":material/error:")
             return
         says.caption(plain(effect_words(calibration.site, settings.length, settings.units)))
         path = str(calibration.path)
@@ -126,3 +135,164 @@ def _use(path: str) -> None:
     """Use a calibration, or none, and remember the one that it replaces."""
     st.session_state["calibration_before"] = resources.settings().calibration
     resources.change_settings(calibration=path)
+
+
+_SUFFIX = ".calibration.json"
+
+
+@dataclass(frozen=True)
+class SavedCalibration:
+    """A calibration file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    site : SiteCalibration, optional
+        Its content; None if it cannot be read.
+    fault : str
+        Why not.
+    """
+
+    path: Path
+    site: SiteCalibration | None
+    fault: str = ""
+
+    @property
+    def title(self) -> str:
+        """Name and day of the calibration, or the file's name."""
+        if self.site is None:
+            return self.path.name
+        return f"{self.site.name}, {round_day(_created_s(self.site))}"
+
+
+def _created_s(site: SiteCalibration) -> float:
+    try:
+        created_s = datetime.fromisoformat(site.created).timestamp()
+        datetime.fromtimestamp(created_s)  # may be a day of no calendar here
+    except (ValueError, OverflowError, OSError):
+        return 0.0
+    return created_s
+
+
+def save_calibration(folder: Path, site: SiteCalibration) -> Path:
+    """Write a calibration into the folder of a store, under its name and the time; return the file.
+
+    Raises
+    ------
+    CalibrationError
+        If the file cannot be written.
+    NameRefusedError
+        If its name cannot be read.
+    """
+    moment = f"{datetime.now():%Y-%m-%d-%H%M%S-%f}"  # two viewers may make one at once
+    name = safe_name(checked_name(site.name, "calibration's name"))
+    path = folder / f"{moment}-{name}{_SUFFIX}"
+    write_site_calibration(path, site)
+    return path
+
+
+def saved_calibrations(folder: Path, chosen: str = "") -> list[SavedCalibration]:
+    """Return the calibrations of a folder, the newest first, and the chosen one wherever it is."""
+    paths = {_resolved(path): path for path in folder.glob(f"*{_SUFFIX}")}
+    if chosen:
+        paths[_resolved(Path(chosen))] = Path(chosen)
+    saved = [_saved(path) for path in paths.values()]
+    return sorted(saved, key=lambda x: -_created_s(x.site) if x.site is not None else 0.0)
+
+
+def _resolved(path: Path) -> Path:
+    try:
+        return path.resolve()
+    except (OSError, ValueError, RuntimeError):  # typed: a loop of links, or no name of a file
+        return path
+
+
+def _saved(path: Path) -> SavedCalibration:
+    try:
+        return SavedCalibration(path, read_site_calibration(path))
+    except CucumberVisionError as error:
+        return SavedCalibration(path, None, str(error))
+
+
+def effect_words(site: SiteCalibration, length: LengthDefinition, units: Units) -> str:
+    """Return what a calibration does, for fruit with a fitted tube.
+
+    Parameters
+    ----------
+    site : SiteCalibration
+        The calibration.
+    length : LengthDefinition
+        Definition of the reported length.
+    units : Units
+        Unit of lengths.
+    """
+    words = []
+    if site.depth_scale is not None:
+        percent = 100 * (site.depth_scale.value - 1)
+        words.append(
+            counted(
+                site.depth_scale.captures,
+                "The camera reads {percent} % too long; that is taken out ({n} picture of a "
+                "printed grid).",
+                "The camera reads {percent} % too long; that is taken out ({n} pictures of a "
+                "printed grid).",
+                percent=number_words(abs(percent), 1),
+            )
+            if percent > 0
+            else counted(
+                site.depth_scale.captures,
+                "The camera reads {percent} % too short; that is taken out ({n} picture of a "
+                "printed grid).",
+                "The camera reads {percent} % too short; that is taken out ({n} pictures of a "
+                "printed grid).",
+                percent=number_words(abs(percent), 1),
+            )
+        )
+    entry = site.entry(calibration_key(MethodName.M6, length), length)
+    if entry is not None:
+        share = decimal_words(f"{100 * (entry.scale - 1):+.1f} %")
+        offset = f"{'+' if entry.offset_m >= 0 else '−'} {units.text(abs(entry.offset_m))}"
+        change = {
+            Form.NONE: _("Lengths stay as they are"),
+            Form.SCALE: _("Lengths change by {change}").format(change=share),
+            Form.SCALE_OFFSET: _("Lengths change by {change}").format(change=f"{share} {offset}"),
+        }[entry.form]
+        words.append(
+            counted(
+                entry.fruit,
+                "{change}: error {before} % before and {after} % after ({n} fruit measured by "
+                "hand).",
+                "{change}: error {before} % before and {after} % after ({n} fruit measured by "
+                "hand, each left out in turn).",
+                change=change,
+                before=number_words(entry.error_before_percent, 1),
+                after=number_words(entry.error_after_percent, 1),
+            )
+        )
+    kind = {"centreline": _("centreline"), "thread": _("thread"), "chord": _("chord")}[length]
+    return " ".join(words) or _("Corrects other lengths than the {kind}.").format(kind=kind)
+
+
+def calibrate_by_grid(store: Store, round_key: str, spacing_m: float, name: str) -> SiteCalibration:
+    """Calibrate a camera from a round's pictures of a printed grid.
+
+    Raises
+    ------
+    CalibrationError
+        If the round was measured with a calibration, shows no grid, or has several cameras.
+    """
+    return calibrate_camera(_grid_captures(store, round_key), spacing_m, name)
+
+
+def _grid_captures(store: Store, round_key: str) -> Iterator[Capture]:
+    for summary in store.stops(round_key):
+        stop = store.stop(summary.key)
+        if any(artifact.kind == "calibration" for artifact in stop.artifacts):
+            raise CalibrationError(
+                "these pictures were measured with a calibration, which changed their depth",
+                source=Message("this round"),
+                remedy="choose no calibration, begin a round and take pictures of the grid again",
+            )
+        for record in stop.captures:
+            yield stored_capture(store.images, record, stop)

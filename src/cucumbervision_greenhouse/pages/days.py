@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 
 import streamlit as st
 
-from cucumbervision_greenhouse import resources, round_caches
-from cucumbervision_greenhouse import round_tables as tables
+from cucumbervision_greenhouse import resources, round_view
 from cucumbervision_greenhouse.language import counted, marked, plain
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.pages import page_elements
@@ -50,7 +49,7 @@ def page(round_summary: Round) -> None:
         page_elements.link("capture", _("Capture"))
         return
     before = earlier[_choose_day(earlier)]
-    comparison = round_caches.comparison_of(before, round_summary)
+    comparison = round_view.comparison_of(before, round_summary)
     fruit_key = st.query_params.get("fruit")
     if fruit_key is not None and any(fruit_key in _keys(fruit) for fruit in comparison.changes):
         _fruit_days(round_summary, fruit_key)
@@ -148,7 +147,7 @@ def _rows(comparison: DayComparison) -> None:
 
 def _classes(comparison: DayComparison, before: Round, after: Round) -> None:
     """Show the compared fruit by class, on both days."""
-    grades = [round_caches.graded_round(x).grades for x in (before, after)]
+    grades = [round_view.graded_round(x).grades for x in (before, after)]
     compared = [x for x in comparison.changes if x.change is not Change.NOT_WALKED]
     views = [x.before for x in compared], [x.after for x in compared]
     first, last = (
@@ -177,30 +176,30 @@ def _each_fruit(comparison: DayComparison) -> None:
     changes = comparison.of(kind or kinds[0])
     units = resources.settings().units
     lines = []
-    for fruit in page_elements.page_of(changes, "days_page", round_caches.LINES):
+    for fruit in page_elements.page_of(changes, "days_page", round_view.LINES):
         view = fruit.after or fruit.before
         if view is not None:
-            picture = round_caches.thumbnail_of(view)
+            picture = round_view.thumbnail_of(view)
             lines.append(
-                {"key": view.key, "picture": picture, "says": tables.change_words(fruit, units)}
+                {"key": view.key, "picture": picture, "says": round_view.change_words(fruit, units)}
             )
     words = counted(
         len(changes), "{n} fruit: tap one to see its days", "{n} fruit: tap one to see its days"
     )
     page_elements.fruit_list("days_list", _("Fruit of both days"), lines, words)
-    page_elements.choose_page(changes, "days_page", round_caches.LINES)
+    page_elements.choose_page(changes, "days_page", round_view.LINES)
 
 
 def _fruit_days(round_summary: Round, key: str) -> None:
     """Show one fruit on all its days: pictures, lengths, and a chart of them."""
     units = resources.settings().units
-    views = round_caches.fruit_days_of(round_summary, key)
+    views = round_view.fruit_days_of(round_summary, key)
     page_elements.button(
         st, _("All fruit"), "arrow_back", page_elements.name_in_address, "fruit", None
     )
     st.header(f"{row_name(views[-1].row)}: {counted(len(views), '{n} day', '{n} days')}")
-    page_elements.pictures(views, lambda view: "  \n".join(tables.day_lines(view, units)))
-    chart_lines = tables.length_days(views, units)
+    page_elements.pictures(views, lambda view: "  \n".join(round_view.day_lines(view, units)))
+    chart_lines = round_view.length_days(views, units)
     if len(chart_lines) > 1:
         from cucumbervision_greenhouse.pages import charts
 
@@ -227,11 +226,11 @@ def _trend(round_summary: Round, rounds: list[Round]) -> None:
         default=_WEEK,
         required=True,
     )
-    days = tables.last_of_day(rounds)[: span or _WEEK]
+    days = round_view.last_of_day(rounds)[: span or _WEEK]
     lines = [
         {"day": day, "class": label, "fruit": number}
         for day, x in days
-        for label, number in round_caches.class_counts_of(x).items()
+        for label, number in round_view.class_counts_of(x).items()
     ]
     from cucumbervision_greenhouse.pages import charts
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import streamlit as st
 
 from cucumbervision.crop.grades import UNDECIDED, class_of
-from cucumbervision_greenhouse import resources, round_caches
+from cucumbervision_greenhouse import resources, round_view
 from cucumbervision_greenhouse.forecast.forecast import Forecast
 from cucumbervision_greenhouse.forecast.picking import Span, plan_work
 from cucumbervision_greenhouse.language import counted, language, plain
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 @page_elements.of_round
 def page(round_summary: Round) -> None:
     """Draw the page."""
-    prediction = round_caches.forecast_of(round_summary)
+    prediction = round_view.forecast_of(round_summary)
     if not prediction.fruit:
         st.info(
             _("Nothing to forecast: this round has no measured fruit left on the plant."),

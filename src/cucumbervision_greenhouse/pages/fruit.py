@@ -10,8 +10,7 @@ import streamlit as st
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.fruit.instance import MaskSource
 from cucumbervision.methods.table import AVAILABLE
-from cucumbervision_greenhouse import resources, round_caches
-from cucumbervision_greenhouse.core_words import words_of
+from cucumbervision_greenhouse import resources, round_view
 from cucumbervision_greenhouse.fruit_pictures import (
     as_data_url,
     depth_picture,
@@ -24,7 +23,7 @@ from cucumbervision_greenhouse.language import counted, marked, plain, sentence
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.pages import page_elements
 from cucumbervision_greenhouse.pages.page_elements import button, draw_undo, picture
-from cucumbervision_greenhouse.round_tables import GradedRound, figure_lines
+from cucumbervision_greenhouse.round_view import GradedRound, figure_lines
 from cucumbervision_greenhouse.rounds.fruit_table import least_sure_first
 from cucumbervision_greenhouse.rounds.stop_records import stored_calibration
 from cucumbervision_greenhouse.store.records import DetectionDetail, Verdict
@@ -48,7 +47,7 @@ if TYPE_CHECKING:
 
 def show(round_summary: Round, graded: GradedRound, key: str, listed: Sequence[FruitRow]) -> None:
     """Draw a fruit in place of the list; `listed` are the fruit that its filters leave."""
-    detail = round_caches.fruit_detail(round_summary, key)
+    detail = round_view.fruit_detail(round_summary, key)
     _head(graded, key, listed)
     picture_side, right = page_elements.halves()
     # Each in its own container, so that elements above do not move the buttons.
@@ -57,7 +56,7 @@ def show(round_summary: Round, graded: GradedRound, key: str, listed: Sequence[F
     with right.container():
         _verdict(round_summary, detail)
     line = next(
-        (x for x in round_caches.fruit_of(round_summary) if x.group == detail.view.group), None
+        (x for x in round_view.fruit_of(round_summary) if x.group == detail.view.group), None
     )
     with picture_side:
         _pictures(detail)
@@ -131,7 +130,7 @@ def _figures(graded: GradedRound, detail: DetectionDetail) -> None:
         st.caption(sentence(f"{words}."))
     with st.expander(_("Details"), icon=":material/list:"):
         for rule in graded_fruit.rules:
-            st.caption(plain(words_of(rule)))
+            st.caption(plain(rule))
         site = stored_calibration(detail.stop)
         name = _("none") if site is None else plain(site.name)
         st.caption(_("Measured with the calibration: {name}").format(name=name))
@@ -173,9 +172,9 @@ def _verdict(round_summary: Round, detail: DetectionDetail) -> None:
 
 def _pictures(detail: DetectionDetail) -> None:
     try:
-        capture = round_caches.capture_of(detail.stop, detail.capture)
+        capture = round_view.capture_of(detail.stop, detail.capture)
     except CucumberVisionError as error:
-        st.warning(plain(words_of(error)), icon=":material/broken_image:")
+        st.warning(plain(error), icon=":material/broken_image:")
         return
     # Thousands of points are sent, and drawn by the tablet, only while somebody looks at them.
     picture_tab, turned = st.tabs([_("Picture"), "3D"], key="fruit_tabs", on_change="rerun")
@@ -334,7 +333,7 @@ def _show_stops(round_summary: Round, fruit: FruitRow, line: FruitRow | None) ->
     line : FruitRow, optional
         The fruit with the length by all its views.
     """
-    content, units = round_caches.content_of(round_summary), resources.settings().units
+    content, units = round_view.content_of(round_summary), resources.settings().units
     views = sorted((v for v in content.views if v.group == fruit.group), key=lambda v: not v.best)
     if len(views) < 2:
         return

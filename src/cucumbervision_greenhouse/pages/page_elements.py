@@ -12,10 +12,16 @@ import streamlit as st
 
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.names import readable
-from cucumbervision_greenhouse import resources, round_caches, tasks
-from cucumbervision_greenhouse.core_words import words_of
+from cucumbervision_greenhouse import resources, round_view, tasks
 from cucumbervision_greenhouse.fruit_pictures import PICTURE_FILES
-from cucumbervision_greenhouse.language import counted, language, page_text, plain, sentence
+from cucumbervision_greenhouse.language import (
+    counted,
+    language,
+    page_text,
+    plain,
+    sentence,
+    words_of,
+)
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.pages.round_choice import choose_round, missing_round
 from cucumbervision_greenhouse.words import hours_words, step_words, taken_back
@@ -217,7 +223,7 @@ def pictures(
     with st.container(horizontal=True):
         for view in views:
             with st.container(width=_PICTURE_PX):
-                if (cut := round_caches.cutout_of(view)) is not None:
+                if (cut := round_view.cutout_of(view)) is not None:
                     st.image(
                         cut,
                         width="stretch",
@@ -363,12 +369,12 @@ def finished_job(key: str) -> Job | None:
 def live() -> None:
     """Show the current work; draw the page anew after a change of its round by anybody."""
     opened = st.session_state.get("round") or ""
-    _live(opened, round_caches.news(opened)["version"])
+    _live(opened, round_view.news(opened)["version"])
 
 
 @st.fragment(run_every=_NEWS_S)
 def _live(round_key: str, version: str) -> None:
-    news = round_caches.news(round_key)
+    news = round_view.news(round_key)
     if version != news["version"]:
         st.rerun()
     work = news["work"]

@@ -10,15 +10,14 @@ from urllib.parse import urlencode
 
 import streamlit as st
 
-from cucumbervision_greenhouse import resources, round_caches, tasks
-from cucumbervision_greenhouse import round_tables as tables
+from cucumbervision_greenhouse import resources, round_view, tasks
 from cucumbervision_greenhouse.exports import ExportFormat
 from cucumbervision_greenhouse.language import counted, marked, plain
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.pages import fruit as fruit_page
 from cucumbervision_greenhouse.pages import page_elements
 from cucumbervision_greenhouse.pages.round_choice import label_options
-from cucumbervision_greenhouse.round_tables import GradedRound
+from cucumbervision_greenhouse.round_view import GradedRound
 from cucumbervision_greenhouse.rounds.demonstration import is_demonstration
 from cucumbervision_greenhouse.rounds.fruit_table import hanging_lengths_m, on_the_plant
 from cucumbervision_greenhouse.store.records import Verdict
@@ -75,8 +74,8 @@ _VERDICTS = {
 @page_elements.of_round
 def page(round_summary: Round) -> None:
     """Draw the page."""
-    graded = round_caches.graded_round(round_summary)
-    groups = round_caches.content_of(round_summary).group_of
+    graded = round_view.graded_round(round_summary)
+    groups = round_view.content_of(round_summary).group_of
     opened = groups.get(st.query_params.get("fruit", ""))  # by any of its views
     if opened is not None and opened in graded.grades:
         fruit_page.show(round_summary, graded, opened, _listed(graded))
@@ -117,7 +116,7 @@ def _classes(round_summary: Round, graded: GradedRound) -> None:
     words = ", ".join(f"{number} {label_words(name)}" for name, number in sorted(counts.items()))
     says, go = st.columns([3, 1], vertical_alignment="center")
     says.markdown(f"**{plain(words or _('No fruit on the plant'))}**")
-    if round_caches.today_of(round_summary).age_days:
+    if round_view.today_of(round_summary).age_days:
         words = _("As measured. 'What is ready today' includes the growth expected since then.")
         says.caption(words)
     if is_demonstration(round_summary.key):
@@ -220,7 +219,7 @@ def _chart(graded: GradedRound, fruit: Sequence[FruitRow]) -> None:
     chart = page_elements.section(_("Chart of the lengths"), "bar_chart", "chart")
     if chart is not None:
         units = resources.settings().units
-        lines = tables.length_lines(fruit, graded.grades, units)
+        lines = round_view.length_lines(fruit, graded.grades, units)
         words = _("Fruit on the plant: line at the mean, band of one standard deviation")
         chart.caption(words)
         from cucumbervision_greenhouse.pages import charts
@@ -229,15 +228,15 @@ def _chart(graded: GradedRound, fruit: Sequence[FruitRow]) -> None:
 
 
 def _list(graded: GradedRound, fruit: Sequence[FruitRow]) -> None:
-    page_fruit = page_elements.page_of(fruit, "list_page", round_caches.LINES)
+    page_fruit = page_elements.page_of(fruit, "list_page", round_view.LINES)
     are_pictures = st.session_state.get("only_drawn") == _PICTURES
-    picture_of = round_caches.cutout_of if are_pictures else round_caches.thumbnail_of
+    picture_of = round_view.cutout_of if are_pictures else round_view.thumbnail_of
     lines = [{**_line(graded, view), "picture": picture_of(view)} for view in page_fruit]
     words = counted(len(fruit), "{n} fruit: tap one to open it", "{n} fruit: tap one to open it")
     page_elements.fruit_list(
         "fruit_list", _("Fruit of this round"), lines, words, are_pictures=are_pictures
     )
-    page_elements.choose_page(fruit, "list_page", round_caches.LINES)
+    page_elements.choose_page(fruit, "list_page", round_view.LINES)
 
 
 def _line(graded: GradedRound, view: FruitRow) -> dict[str, Any]:

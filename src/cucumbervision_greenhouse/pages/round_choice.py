@@ -11,8 +11,14 @@ import streamlit as st
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.names import same_house
 from cucumbervision_greenhouse import resources, tasks
-from cucumbervision_greenhouse.core_words import words_of
-from cucumbervision_greenhouse.language import Option, counted, plain, sentence, told_apart
+from cucumbervision_greenhouse.language import (
+    Option,
+    counted,
+    plain,
+    sentence,
+    told_apart,
+    words_of,
+)
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.rounds.merge_and_link import delete_round, move_rounds
 from cucumbervision_greenhouse.store.records import Round

@@ -12,10 +12,9 @@ from cucumbervision.errors import CucumberVisionError
 from cucumbervision.methods.result import LengthDefinition, Selector
 from cucumbervision_greenhouse import resources
 from cucumbervision_greenhouse.camera import cameras
-from cucumbervision_greenhouse.core_words import words_of
 from cucumbervision_greenhouse.language import DRAFTS, LANGUAGES, marked, plain
 from cucumbervision_greenhouse.language import gettext as _
-from cucumbervision_greenhouse.pages import calibrations, crop_form, page_elements
+from cucumbervision_greenhouse.pages import calibrations, crop, page_elements
 from cucumbervision_greenhouse.settings import EXPOSURE_US, PRESETS
 
 _FINDERS = {
@@ -61,7 +60,7 @@ def _crop() -> None:
         format_func={"cm": _("Centimetres"), "in": _("Inches")}.__getitem__,
         required=True,
     )
-    crop_form.draw()
+    crop.draw()
 
 
 def _language() -> None:
@@ -128,7 +127,7 @@ def _other_calibration() -> None:
         if calibration:
             read_site_calibration(Path(calibration))
     except CucumberVisionError as error:
-        st.error(plain(words_of(error)), icon=":material/error:")
+        st.error(plain(error), icon=":material/error:")
     else:
         resources.change_settings(calibration=calibration)
         st.rerun()

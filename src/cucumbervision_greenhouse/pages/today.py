@@ -9,15 +9,14 @@ from typing import TYPE_CHECKING, Any
 import streamlit as st
 
 from cucumbervision.errors import CucumberVisionError
-from cucumbervision_greenhouse import resources, round_caches, tasks
-from cucumbervision_greenhouse.core_words import words_of
+from cucumbervision_greenhouse import resources, round_view, tasks
 from cucumbervision_greenhouse.forecast.picking import PickKind, work_of
 from cucumbervision_greenhouse.language import counted, marked, ngettext, plain, sentence
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.pages import page_elements
 from cucumbervision_greenhouse.pages.page_elements import button
 from cucumbervision_greenhouse.pages.round_choice import label_options
-from cucumbervision_greenhouse.round_tables import doubtful
+from cucumbervision_greenhouse.round_view import doubtful
 from cucumbervision_greenhouse.rounds.demonstration import is_demonstration
 from cucumbervision_greenhouse.rounds.forecasting import Age
 from cucumbervision_greenhouse.words import (
@@ -43,7 +42,7 @@ if TYPE_CHECKING:
 @page_elements.of_round
 def page(round_summary: Round) -> None:
     """Draw the page."""
-    today = round_caches.today_of(round_summary)
+    today = round_view.today_of(round_summary)
     _age(round_summary, today)
     _next(round_summary, today)
     if not today.rows:
@@ -114,7 +113,7 @@ def _next(round_summary: Round, today: Today) -> None:
     elif round_summary.stops and not today.rows and not progress.waiting:
         words = _("No fruit is ready today. The forecast shows when.")
         steps.append((words, "forecast", _("Forecast")))
-    if unsure := len(doubtful(round_caches.content_of(round_summary).views)):
+    if unsure := len(doubtful(round_view.content_of(round_summary).views)):
         words = counted(
             unsure,
             "{n} fruit was seen only once, with low confidence. Please check.",
@@ -237,7 +236,7 @@ def _lines(
     round_summary: Round, picks: Sequence[Pick], picked: set[str], simulated: frozenset[str]
 ) -> list[dict[str, Any]]:
     units = resources.settings().units
-    views = {view.key: view for view in round_caches.graded_round(round_summary).fruit}
+    views = {view.key: view for view in round_view.graded_round(round_summary).fruit}
     lines = []
     for pick in picks:
         key = pick.fruit.fruit_id
@@ -249,7 +248,7 @@ def _lines(
             "" if view is None else height_words(view, units),
             _("computer-made") if key in simulated else "",
         ]
-        picture = None if view is None else round_caches.thumbnail_of(view)
+        picture = None if view is None else round_view.thumbnail_of(view)
         picked_now = _is_picked(pick, picked)
         lines.append({"key": key, "picture": picture, "says": says, "picked": picked_now})
     return lines
@@ -285,7 +284,7 @@ def _all_picked(row: RowPicks, picked: set[str]) -> None:
             try:
                 st.session_state["picked_all"] = resources.store().pick(unpicked)
             except CucumberVisionError as error:
-                st.error(sentence(words_of(error)), icon=":material/error:")
+                st.error(sentence(error), icon=":material/error:")
             else:
                 st.rerun()
         if no.button(_("No"), width="stretch"):
@@ -309,7 +308,7 @@ def _undo(number: int) -> None:
     try:
         resources.store().undo(number=number)
     except CucumberVisionError as error:
-        st.toast(plain(words_of(error)))
+        st.toast(plain(error))
     st.session_state.pop("picked_all", None)
 
 

@@ -9,9 +9,8 @@ import streamlit as st
 from cucumbervision.capture.readers import RECORDING_SUFFIXES
 from cucumbervision.errors import NameRefusedError
 from cucumbervision.names import LONGEST_NAME, checked_name
-from cucumbervision_greenhouse import resources, round_caches, tasks
-from cucumbervision_greenhouse.core_words import words_of
-from cucumbervision_greenhouse.language import counted, plain, sentence
+from cucumbervision_greenhouse import resources, round_view, tasks
+from cucumbervision_greenhouse.language import counted, plain, sentence, words_of
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.pages import page_elements
 from cucumbervision_greenhouse.pages.page_elements import component
@@ -61,7 +60,7 @@ def page(round_summary: Round) -> None:
             "accept": ",".join(f".{ending}" for ending in _ENDINGS),
         },
     )
-    if doubts := round_caches.doubts_of(round_summary):
+    if doubts := round_view.doubts_of(round_summary):
         words = f"{_('Check the data of this round.')} {'. '.join(map(words_of, doubts))}."
         st.warning(plain(words), icon=":material/error:")
     for upload in resources.uploads().all(round_summary.key)[:_SHOWN]:
@@ -126,7 +125,7 @@ def _draw_place(
     try:
         named = checked_name(named, "row")
     except NameRefusedError as error:
-        st.warning(sentence(words_of(error)), icon=":material/error:")
+        st.warning(sentence(error), icon=":material/error:")
         named = ""
     return SentPlace(
         row=named,

@@ -17,11 +17,11 @@ WALK, LONG = key_of("walk"), key_of("long walk")
 PAGES = ("today", "upload", "results", "row_map", "days", "forecast", "accuracy", "settings")
 
 
-def app(page: str, **state: Any) -> AppTest:
+def app(page: str, draw: str = "page", **state: Any) -> AppTest:
     script = (
         "from cucumbervision_greenhouse.pages.app import keep_inputs\n"
         f"from cucumbervision_greenhouse.pages import {page}\n"
-        f"keep_inputs()\n{page}.page()\n"
+        f"keep_inputs()\n{page}.{draw}()\n"
     )
     test = AppTest.from_string(script, default_timeout=600)
     for name, value in state.items():

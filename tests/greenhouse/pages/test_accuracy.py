@@ -16,7 +16,7 @@ from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
 from cucumbervision.methods.result import LengthDefinition
 from cucumbervision_greenhouse import resources, tasks
-from cucumbervision_greenhouse.pages.hand_lengths import hand_file, write_hand_lengths
+from cucumbervision_greenhouse.pages.accuracy import hand_file, write_hand_lengths
 from cucumbervision_greenhouse.store.records import new_key
 from cucumbervision_greenhouse.store.repository import open_store
 

@@ -19,7 +19,7 @@ from tests.greenhouse.pages.app_pages import LONG, PAGES, WALK, app, said, wait_
 from cucumbervision.capture.frames import Stop
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
-from cucumbervision_greenhouse import resources, round_caches
+from cucumbervision_greenhouse import resources, round_view
 from cucumbervision_greenhouse.camera.state import walk
 from cucumbervision_greenhouse.rounds.demonstration import DEMONSTRATION, round_for_capture
 from cucumbervision_greenhouse.store.links import LinkKind, LinkRecord
@@ -98,10 +98,10 @@ def test_every_page_counts_what_is_saved_of_its_round_alike(house: Path) -> None
         walked = walk(store, empty.key, "camera")
         assert walked["first"].startswith(told)
         work = {"words": "Measuring: 0 of 3 captures; 2 of other rounds wait too"}
-        assert walked["work"] == round_caches.news(empty.key)["work"]
+        assert walked["work"] == round_view.news(empty.key)["work"]
         assert walked["work"] == {**work, "done": 0, "total": 3, "waiting": 3}
         assert "2 captures are still being measured" in said(app("today", round=WALK))
-        assert round_caches.news(WALK)["work"]["waiting"] == 2
+        assert round_view.news(WALK)["work"]["waiting"] == 2
         for one in resources.waiting().captures():
             resources.waiting().done(one)
         busy.set()
@@ -118,7 +118,7 @@ def test_why_nothing_is_measured_is_told_on_every_page(house: Path, tmp_path: Pa
     resources.waiting().put(replace(capture, stop=place), key_of("lost"), WALK, time.time())
     assert app("today", round=WALK).exception == []
     wait_for_jobs()
-    words = round_caches.news(WALK)["work"]["words"]
+    words = round_view.news(WALK)["work"]["words"]
     assert words.startswith("1 capture waits to be measured: ")
     assert "lost.json" in words
 
@@ -179,11 +179,11 @@ def test_a_page_asks_once_whatever_the_number_of_its_fruit(
 
 
 def test_news_of_a_round_count_no_other(house: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    before = round_caches.news(WALK)["version"]
+    before = round_view.news(WALK)["version"]
     monkeypatch.delattr(Store, "rounds")  # every open page asks three times a second
-    assert round_caches.news(WALK)["version"] == before
+    assert round_view.news(WALK)["version"] == before
     for missing in ("", "no key", new_key()):
-        assert round_caches.news(missing)["version"].endswith("-0")
+        assert round_view.news(missing)["version"].endswith("-0")
 
 
 def test_the_first_page_needs_neither_tables_nor_charts_nor_networks(

@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("streamlit")
 
 from cucumbervision_greenhouse.pages import charts
-from cucumbervision_greenhouse.round_tables import length_days
+from cucumbervision_greenhouse.round_view import length_days
 from cucumbervision_greenhouse.settings import Units
 from cucumbervision_greenhouse.store.records import key_of
 from cucumbervision_greenhouse.store.repository import Store

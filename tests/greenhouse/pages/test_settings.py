@@ -14,7 +14,7 @@ from tests.greenhouse.pages.app_pages import app, said, tables
 
 from cucumbervision.capture.realsense_device import CameraSettings
 from cucumbervision_greenhouse import resources
-from cucumbervision_greenhouse.pages.hand_lengths import truth_folder
+from cucumbervision_greenhouse.settings import truth_folder
 
 pytestmark = pytest.mark.usefixtures("fresh_caches")
 

@@ -27,8 +27,8 @@ from cucumbervision_greenhouse.forecast.picking import (
     plan_work,
     work_of,
 )
-from cucumbervision_greenhouse.pages.hand_lengths import measured_round
-from cucumbervision_greenhouse.round_tables import grade_round, length_lines, map_lines
+from cucumbervision_greenhouse.pages.accuracy import measured_round
+from cucumbervision_greenhouse.round_view import grade_round, length_lines, map_lines
 from cucumbervision_greenhouse.rounds.forecasting import forecast_today
 from cucumbervision_greenhouse.rounds.from_store import find_round, read_round
 from cucumbervision_greenhouse.rounds.fruit_table import fruit_table

@@ -11,7 +11,7 @@ from cucumbervision.accuracy.truth import read_truth
 from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import TruthError
 from cucumbervision.methods.result import LengthDefinition
-from cucumbervision_greenhouse.pages.hand_lengths import (
+from cucumbervision_greenhouse.pages.accuracy import (
     hand_file,
     hand_lengths,
     measured_round,

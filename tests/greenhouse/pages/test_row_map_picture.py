@@ -4,7 +4,7 @@ import pytest
 
 pytest.importorskip("streamlit")
 
-from cucumbervision_greenhouse.pages.map_picture import map_picture
+from cucumbervision_greenhouse.pages.row_map import map_picture
 from cucumbervision_greenhouse.settings import Units
 
 

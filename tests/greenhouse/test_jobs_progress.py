@@ -8,9 +8,8 @@ from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
 from cucumbervision.networks.registry import load_registry
 from cucumbervision.run.options import MeasureOptions
-from cucumbervision_greenhouse.jobs import Job
+from cucumbervision_greenhouse.jobs import Job, Progress, progress_of
 from cucumbervision_greenhouse.measuring import SharedMeasurer, measure_waiting
-from cucumbervision_greenhouse.progress import Progress, progress_of
 from cucumbervision_greenhouse.store.records import Round, key_of
 from cucumbervision_greenhouse.store.repository import Store
 from cucumbervision_greenhouse.store.waiting import Waiting, WaitingCaptures

@@ -16,9 +16,8 @@ from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import CalibrationError, NameRefusedError
 from cucumbervision.methods.result import LengthDefinition
 from cucumbervision.run.options import MeasureOptions
-from cucumbervision_greenhouse.pages.hand_lengths import measured_round, write_hand_lengths
-from cucumbervision_greenhouse.pages.site_calibrations import (
-    bias_words,
+from cucumbervision_greenhouse.pages.accuracy import bias_words, measured_round, write_hand_lengths
+from cucumbervision_greenhouse.pages.calibrations import (
     calibrate_by_grid,
     effect_words,
     save_calibration,

@@ -18,7 +18,7 @@ from cucumbervision.methods.flags import FLAGS, Flag, data_doubts
 from cucumbervision.methods.result import Length
 from cucumbervision.run.summary import Summary
 from cucumbervision_greenhouse import language
-from cucumbervision_greenhouse.core_words import ON_PAGES, words_of
+from cucumbervision_greenhouse.language import ON_PAGES, words_of
 from cucumbervision_greenhouse.uploads import UploadOutcome
 
 SOURCE = Path(__file__).parents[2] / "src"

@@ -14,7 +14,7 @@ from tests.greenhouse.pages.app_pages import app, said, tables, tap
 from cucumbervision.crop.profiles import load_profile
 from cucumbervision_greenhouse import resources
 from cucumbervision_greenhouse.language import gettext
-from cucumbervision_greenhouse.pages.crop_limits import CropLimits, save_own_profile
+from cucumbervision_greenhouse.pages.crop import CropLimits, save_own_profile
 from cucumbervision_greenhouse.store.records import Round
 from cucumbervision_greenhouse.store.repository import open_store
 

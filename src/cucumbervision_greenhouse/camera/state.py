@@ -69,6 +69,7 @@ def walk(store: Store, round_key: str, source: str) -> dict[str, Any]:
     progress = tasks.progress(home)
     return {
         "now_s": time.time(),
+        "zone_s": time.localtime().tm_gmtoff,
         "rounds": [{"key": x.key, "name": round_name(x)} for x in rounds],
         "houses": resources.houses(rounds),
         "round": round_summary.key if round_summary else "",

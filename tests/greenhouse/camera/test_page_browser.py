@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 from collections.abc import Callable, Iterator
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -103,9 +104,13 @@ def walk(
 
 
 def test_a_press_is_one_stop_however_it_is_made(walk: Walk, new_page: Callable[..., Any]) -> None:
-    page = opened(new_page(has_touch=True), walk)
+    page = opened(new_page(has_touch=True, timezone_id="Pacific/Auckland"), walk)
+    pressed = datetime.now()
     page.keyboard.press("Enter")
     wait_for_stops(page, walk, 1)
+    clock = datetime.strptime(page.locator("#presses li").inner_text()[2:10], "%H:%M:%S")
+    pressed = pressed.replace(microsecond=0)
+    assert (clock - pressed).seconds < 60  # the server's clock, not the viewer's
     shot(page, "key")
     page.locator("button.take").tap()
     wait_for_stops(page, walk, 2)

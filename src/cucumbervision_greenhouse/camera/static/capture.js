@@ -7,7 +7,7 @@ const fill = (words, parts) => words.replace(/\{(\w+)\}/g, (_whole, name) => par
 const $ = (id) => document.getElementById(id);
 const address = new URLSearchParams(location.search);
 const AGAIN_MS = 1000, PICTURE_MS = 200, SILENCE_MS = 7000, CLOCK_S = 0.5;
-const own = { round: address.get("round") || "", source: address.get("source") || "", home: "", watched: "", place: null, mine: null, walk: null, version: "", connected: false, simulated: null, shown: "", waiting: 0, work: "", undone: "", rows: {}, along: ["m", 1] };
+const own = { round: address.get("round") || "", source: address.get("source") || "", home: "", watched: "", place: null, mine: null, walk: null, version: "", connected: false, simulated: null, shown: "", waiting: 0, work: "", undone: "", rows: {}, along: ["m", 1], zone_s: -60 * new Date().getTimezoneOffset() };
 
 function show(node, words) {
   node.textContent = words;
@@ -65,7 +65,7 @@ function showWalk(walk) {
   Object.assign(own, { walk, round: walk.missing ? own.round : walk.round, source: walk.source });
   const home = own.home;
   own.home = walk.home;
-  showUnit(walk.along || own.along);
+  showUnit(walk.along || own.along), own.zone_s = walk.zone_s ?? own.zone_s;
   if (`${own.round} ${walk.source} ${walk.home}` !== own.watched) {
     own.watched = `${own.round} ${walk.source} ${walk.home}`;
     history.replaceState(null, "", `/capture?${new URLSearchParams({ round: own.round, source: own.source })}`);
@@ -242,7 +242,7 @@ function lostWords(some) {
 }
 
 function drawPresses() {
-  const time = (one) => new Date(1000 * one.at_s).toLocaleTimeString([], { hour12: false });
+  const time = (one) => new Date(1000 * (one.at_s + own.zone_s)).toISOString().slice(11, 19); // the server's clock, as on every page
   const marks = { waiting: "…", saved: "✓", refused: "✗" }, groups = new Map();
   for (const one of presses.list.filter(({ state }) => state === "refused")) {
     const name = JSON.stringify([one.sent.round, one.sent.row, one.sent.side, one.words]);

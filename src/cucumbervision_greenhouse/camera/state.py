@@ -58,9 +58,8 @@ def walk(store: Store, round_key: str, source: str) -> dict[str, Any]:
     if source not in ("camera", "replay"):
         source = "replay" if cameras.replay_named() else "camera"
     round_summary = next((x for x in rounds if round_key in ("", x.key)), None)
-    preview = _preview_of(source)
     home = round_summary.key if round_summary else ""
-    if preview is not None and preview.simulated:
+    if (preview := _preview_of(source)) is not None and preview.simulated:
         home = DEMONSTRATION
     stops = resources.store().stops(home) if any(x.key == home for x in rounds) else []
     waiting = [x.stop for x in resources.waiting().captures() if x.round_key == home]

@@ -79,12 +79,6 @@ def opened(page: Any, walk: Walk) -> Any:
     return page
 
 
-def shot(page: Any, name: str) -> None:
-    if folder := os.environ.get("CUCUMBERVISION_ARTEFACTS"):
-        page.wait_for_timeout(1500)
-        page.screenshot(path=Path(folder) / f"press-{name}.png")
-
-
 def wait_for_stops(page: Any, walk: Walk, number: int) -> None:
     for _ in range(600):
         if len(walk.kept()) >= number:
@@ -111,10 +105,8 @@ def test_a_press_is_one_stop_however_it_is_made(walk: Walk, new_page: Callable[.
     clock = datetime.strptime(page.locator("#presses li").inner_text()[2:10], "%H:%M:%S")
     pressed = pressed.replace(microsecond=0)
     assert (clock - pressed).seconds < 60  # the server's clock, not the viewer's
-    shot(page, "key")
     page.locator("button.take").tap()
     wait_for_stops(page, walk, 2)
-    shot(page, "touch")
     page.locator("button.take").click()
     wait_for_stops(page, walk, 3)
     for key in ("Enter", "Space"):  # the button has the focus now
@@ -158,7 +150,6 @@ def test_presses_while_offline_each_get_their_picture(
         page.wait_for_timeout(1000)
     page.context.set_offline(False)
     wait_for_stops(page, walk, 4)
-    shot(page, "offline")
     assert len(walk.pictures()) == 4
 
 
@@ -178,7 +169,6 @@ def test_capture_opens_and_takes_presses_while_the_server_is_away(
     page.get_by_text("1 press is kept on this device").wait_for()
     page.context.set_offline(False)
     wait_for_stops(page, walk, 1)
-    shot(page, "reloaded")
 
 
 def test_the_page_can_be_installed_and_starts_offline(
@@ -273,7 +263,6 @@ def test_presses_whose_pictures_a_kill_took_are_said_and_their_place_is_asked_fo
     page.wait_for_timeout(2000)
     walk.start_again()
     page.get_by_text("3 lost: row 1, left, 0.90 to 1.50 m").wait_for()
-    shot(page, "lost")
     assert len(walk.kept()) == 1
     # Nobody knows where the walker is by now.
     page.locator("#told").get_by_text("enter where the next stop is").wait_for()

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 
 from cucumbervision.cli.console import print_table, progress_bar, screen
+from cucumbervision_lab.arrays import Progress
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @contextmanager
-def ticking(what: str, total: int | None = None) -> Iterator[Callable[[int], None]]:
+def ticking(what: str, total: int | None = None) -> Iterator[Progress]:
     """Show a progress bar; yields a function that is called with the number of completed steps."""
     with progress_bar(Console(stderr=True, highlight=False)) as bar:
         task = bar.add_task(what, total=total)

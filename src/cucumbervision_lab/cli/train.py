@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cucumbervision.cli.choices import InputSize
+from cucumbervision_lab.arrays import Progress
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from cucumbervision_lab.data.labels import DataSet
     from cucumbervision_lab.train.classifier import ClassifierOptions, Trained
 
-    Tick = Callable[[int], None]
+    Tick = Progress
 
 app = typer.Typer(
     name="train",

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.errors import CucumberVisionError, DataSetError
+from cucumbervision_lab.arrays import Progress
 from cucumbervision_lab.data.coco import ANNOTATIONS, ROBOFLOW, read_coco
 from cucumbervision_lab.data.labels import SPLITS, picture_size
 from cucumbervision_lab.data.splits import (
@@ -20,7 +21,7 @@ from cucumbervision_lab.data.splits import (
 from cucumbervision_lab.data.yolo import read_yolo
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
 
     from cucumbervision_lab.data.labels import DataSet, Label, LabelledPicture
 
@@ -104,7 +105,7 @@ def check_folder(
     names: Sequence[str] = (),
     *,
     duplicates: bool = True,
-    progress: Callable[[int], None] | None = None,
+    progress: Progress | None = None,
 ) -> tuple[DataSet, list[Finding]]:
     """Read a data set and find all its faults.
 
@@ -136,7 +137,7 @@ def check_folder(
 
 
 def check_dataset(
-    dataset: DataSet, *, duplicates: bool = True, progress: Callable[[int], None] | None = None
+    dataset: DataSet, *, duplicates: bool = True, progress: Progress | None = None
 ) -> list[Finding]:
     """Find all faults of a data set.
 
@@ -254,7 +255,7 @@ def _scene_leaks(dataset: DataSet) -> Iterator[Finding]:
 
 
 def _duplicate_leaks(
-    dataset: DataSet, pictures: Sequence[LabelledPicture], progress: Callable[[int], None] | None
+    dataset: DataSet, pictures: Sequence[LabelledPicture], progress: Progress | None
 ) -> list[Finding]:
     assigned = [p for p in pictures if p.split]
     if len({p.split for p in assigned}) < 2:

@@ -21,6 +21,7 @@ from cucumbervision.files import parse_model, read_json
 from cucumbervision.fruit.instance import KEYPOINT_NAMES, SKELETON
 from cucumbervision.fruit.label_files import LabelledImage, entry_or_error, parse_coco
 from cucumbervision.fruit.mask_codes import Rle
+from cucumbervision_lab.arrays import Progress
 from cucumbervision_lab.data.labels import (
     SPLIT_FOLDERS,
     DataSet,
@@ -34,7 +35,7 @@ from cucumbervision_lab.data.labels import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
 ANNOTATIONS = "annotations.json"
 
@@ -193,9 +194,7 @@ def read_fragment(file: Path) -> tuple[LabelledPicture, list[InstancesError]]:
 _DIGITS = 3  # decimal places of pixels, far below the accuracy of labels
 
 
-def write_coco(
-    dataset: DataSet, folder: Path, *, progress: Callable[[int], None] | None = None
-) -> DataSet:
+def write_coco(dataset: DataSet, folder: Path, *, progress: Progress | None = None) -> DataSet:
     """Write a data set in COCO format: `images/`, `depth/` and `annotations.json`.
 
     Parameters
@@ -265,7 +264,7 @@ def write_fragment(picture: LabelledPicture, file: Path) -> Path:
 
 
 def _place_all(
-    dataset: DataSet, folder: Path, progress: Callable[[int], None] | None
+    dataset: DataSet, folder: Path, progress: Progress | None
 ) -> tuple[LabelledPicture, ...]:
     placed = []
     names = flat_names(p.file for p in dataset.pictures)

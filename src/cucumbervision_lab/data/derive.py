@@ -24,6 +24,7 @@ from cucumbervision.fruit.mask_codes import Rle
 from cucumbervision.fruit.masks import box_of_mask
 from cucumbervision_greenhouse.store.images import DEPTH_UNIT_M
 from cucumbervision_greenhouse.store.records import Verdict
+from cucumbervision_lab.arrays import Progress
 from cucumbervision_lab.data.coco import write_coco
 from cucumbervision_lab.data.labels import (
     SPLITS,
@@ -36,7 +37,7 @@ from cucumbervision_lab.data.labels import (
 from cucumbervision_lab.data.yolo import write_yolo
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Container, Iterator, Mapping, Sequence
+    from collections.abc import Container, Iterator, Mapping, Sequence
 
     from cucumbervision.networks.loaded import NetworkSegmenter
     from cucumbervision_greenhouse.store.records import CaptureRecord, FruitRow, Round, StopRecord
@@ -44,7 +45,7 @@ if TYPE_CHECKING:
 
 
 def merge_datasets(
-    datasets: Sequence[DataSet], out: Path, *, progress: Callable[[int], None] | None = None
+    datasets: Sequence[DataSet], out: Path, *, progress: Progress | None = None
 ) -> DataSet:
     """Merge data sets and write the result in COCO format.
 
@@ -127,7 +128,7 @@ class PseudoMasks:
 
 
 def add_pseudo_masks(
-    dataset: DataSet, segmenter: NetworkSegmenter, progress: Callable[[int], None] | None = None
+    dataset: DataSet, segmenter: NetworkSegmenter, progress: Progress | None = None
 ) -> PseudoMasks:
     """Add masks by SAM to all fruit that have only a box, except in the split 'test'.
 
@@ -217,7 +218,7 @@ def convert_dataset(
     source: str = "",
     licence: str = "",
     splits: Sequence[str] = SPLITS,
-    progress: Callable[[int], None] | None = None,
+    progress: Progress | None = None,
 ) -> str:
     """Write a data set in another format.
 

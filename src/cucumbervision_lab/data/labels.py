@@ -17,11 +17,10 @@ from cucumbervision.files import read_bytes
 from cucumbervision.fruit.label_files import entry_or_error
 from cucumbervision.fruit.mask_codes import Rle, mask_of_segmentation
 from cucumbervision.fruit.masks import box_of_mask
+from cucumbervision_lab.arrays import Array, Mask, Progress
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
-
-    from numpy.typing import NDArray
+    from collections.abc import Iterable, Iterator, Sequence
 
     from cucumbervision.capture.intrinsics import Intrinsics
     from cucumbervision.errors import CucumberVisionError
@@ -75,11 +74,11 @@ class Label:
     ([1.5, 0.5, 4.5, 1.5], np.int64(3), True)
     """
 
-    box: NDArray[np.float64]
+    box: Array
     category: int = 0
     mask_code: Rle | None = None
     amodal_code: Rle | None = None
-    keypoints: NDArray[np.float64] | None = None
+    keypoints: Array | None = None
     hidden_share: float | None = None
     cut_off: bool = False
     ignore: bool = False
@@ -87,9 +86,7 @@ class Label:
     extras: Mapping[str, Any] = field(default_factory=dict)
 
     @classmethod
-    def of_mask(
-        cls, mask: NDArray[np.bool_], *, amodal: NDArray[np.bool_] | None = None, **rest: Any
-    ) -> Label:
+    def of_mask(cls, mask: Mask, *, amodal: Mask | None = None, **rest: Any) -> Label:
         """Create a label from masks; the box is that of the visible mask.
 
         Parameters
@@ -111,12 +108,12 @@ class Label:
         return cls(box_of_mask(mask), mask_code=code, amodal_code=amodal_code, **rest)
 
     @property
-    def mask(self) -> NDArray[np.bool_] | None:
+    def mask(self) -> Mask | None:
         """The visible pixels, bool, shape (H, W); decoded on each access."""
         return None if self.mask_code is None else self.mask_code.decode()
 
     @property
-    def amodal(self) -> NDArray[np.bool_] | None:
+    def amodal(self) -> Mask | None:
         """The pixels of the complete fruit, bool, shape (H, W); decoded on each access."""
         return None if self.amodal_code is None else self.amodal_code.decode()
 
@@ -321,7 +318,7 @@ def keep_classes(dataset: DataSet, keep: Mapping[str, str]) -> DataSet:
 _SOF = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 
 
-def ticked(items: Iterable[Item], progress: Callable[[int], None] | None) -> Iterator[Item]:
+def ticked(items: Iterable[Item], progress: Progress | None) -> Iterator[Item]:
     """Yield items, and call `progress` with 1 after each one."""
     for item in items:
         yield item

@@ -14,16 +14,13 @@ import numpy as np
 from cucumbervision.fruit.masks import mask_window
 from cucumbervision.networks.keypoint_axis import KEYPOINT_SHARES, axis_line
 from cucumbervision.tube.curve import points_along
+from cucumbervision_lab.arrays import Array, Mask, Pixels
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
 
-    Array = NDArray[np.float64]
-
-
-def _outlines(mask: NDArray[np.bool_]) -> list[Array]:
+def _outlines(mask: Mask) -> list[Array]:
     """Return the outer outline of each part, largest first, with a point every half pixel.
 
     The outline runs through the midpoints of pixel edges: exactly the pixel centres of the part and
@@ -40,7 +37,7 @@ def _outlines(mask: NDArray[np.bool_]) -> list[Array]:
     return sorted(parts, key=_area, reverse=True)
 
 
-def _doubled(mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
+def _doubled(mask: Mask) -> Pixels:
     """Return pixel centres, edge midpoints and corners as a grid of shape (2 H + 1, 2 W + 1)."""
     height, width = mask.shape
     padded = np.zeros((height + 2, width + 2), np.uint8)
@@ -110,7 +107,7 @@ def join_parts(parts: Sequence[Array]) -> Array:
     return joined
 
 
-def one_polygon(mask: NDArray[np.bool_], min_part_px: float = 16.0) -> Array | None:
+def one_polygon(mask: Mask, min_part_px: float = 16.0) -> Array | None:
     """Return a mask as a single polygon without small parts.
 
     Parameters
@@ -151,7 +148,7 @@ DIRECTIONS = {
 """Directions of the stem end by name, as (x, y) with y down."""
 
 
-def keypoints_of_mask(mask: NDArray[np.bool_], stem: str) -> Array | None:
+def keypoints_of_mask(mask: Mask, stem: str) -> Array | None:
     """Return keypoints along the axis of a mask.
 
     Parameters

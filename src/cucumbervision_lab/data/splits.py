@@ -14,6 +14,7 @@ from scipy.sparse.csgraph import connected_components
 
 from cucumbervision.capture.pictures import read_color
 from cucumbervision.errors import DataSetError
+from cucumbervision_lab.arrays import Array32, Generator, Pixels, Progress
 from cucumbervision_lab.data.labels import SPLITS, ticked
 
 if TYPE_CHECKING:
@@ -72,14 +73,12 @@ class Fingerprint:
     """
 
     hashes: NDArray[np.uint64]
-    colors: NDArray[np.float32]
-    points_px: NDArray[np.float32]
-    features: NDArray[np.uint8]
+    colors: Array32
+    points_px: Array32
+    features: Pixels
 
 
-def take_fingerprints(
-    files: Sequence[Path], progress: Callable[[int], None] | None = None
-) -> list[Fingerprint]:
+def take_fingerprints(files: Sequence[Path], progress: Progress | None = None) -> list[Fingerprint]:
     """Compute the fingerprints of picture files.
 
     Raises
@@ -93,7 +92,7 @@ def take_fingerprints(
     return [_fingerprint(read_color(file), corners) for file in ticked(files, progress)]
 
 
-def _fingerprint(color_rgb: NDArray[np.uint8], corners: Any) -> Fingerprint:
+def _fingerprint(color_rgb: Pixels, corners: Any) -> Fingerprint:
     import cv2
 
     def scaled(side: int) -> NDArray[Any]:
@@ -116,13 +115,13 @@ def _fingerprint(color_rgb: NDArray[np.uint8], corners: Any) -> Fingerprint:
     )
 
 
-def _turned(grey: NDArray[np.float32]) -> Iterator[NDArray[np.float32]]:
+def _turned(grey: Array32) -> Iterator[Array32]:
     for mirrored in (grey, grey[:, ::-1]):
         for quarter in range(4):
             yield np.ascontiguousarray(np.rot90(mirrored, quarter))
 
 
-def _hash(grey: NDArray[np.float32]) -> int:
+def _hash(grey: Array32) -> int:
     """Return the perceptual hash: low DCT frequencies above their median (Zauner 2010, pHash)."""
     import cv2
 
@@ -150,10 +149,10 @@ def copies(left: Sequence[Fingerprint], right: Sequence[Fingerprint]) -> list[tu
     return pairs
 
 
-def _color_distances(prints: Sequence[Fingerprint]) -> NDArray[np.float32]:
+def _color_distances(prints: Sequence[Fingerprint]) -> Array32:
     """Return the pairwise Hellinger distances of the colour histograms, 0 to 1, shape (N, N)."""
     colors = np.stack([f.colors for f in prints])
-    distances: NDArray[np.float32] = np.sqrt(np.maximum(0, 1 - colors @ colors.T))
+    distances: Array32 = np.sqrt(np.maximum(0, 1 - colors @ colors.T))
     return distances
 
 
@@ -287,7 +286,7 @@ def parse_shares(text: str, separator: str = ":") -> tuple[float, float, float]:
     return a, b, c
 
 
-def find_scenes(dataset: DataSet, progress: Callable[[int], None] | None = None) -> DataSet:
+def find_scenes(dataset: DataSet, progress: Progress | None = None) -> DataSet:
     """Group pictures without a scene into scenes of near-duplicates.
 
     Two pictures belong to one scene if their colours are similar or many corners match
@@ -408,7 +407,7 @@ def split_by_scene(
 
 
 def _assign(
-    pictures: Sequence[LabelledPicture], shares: np.ndarray, rng: np.random.Generator
+    pictures: Sequence[LabelledPicture], shares: np.ndarray, rng: Generator
 ) -> dict[str, str]:
     scenes: dict[str, list[LabelledPicture]] = {}
     for picture in pictures:

@@ -20,6 +20,7 @@ from cucumbervision.errors import (
 from cucumbervision.files import read_bytes, read_json, read_text
 from cucumbervision.fruit.instance import KEYPOINT_NAMES
 from cucumbervision.fruit.label_files import read_yolo_file
+from cucumbervision_lab.arrays import Array, Progress
 from cucumbervision_lab.data.labels import (
     SPLIT_FOLDERS,
     SPLITS,
@@ -37,9 +38,7 @@ from cucumbervision_lab.data.labels import (
 from cucumbervision_lab.data.polygons import one_polygon
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    from numpy.typing import NDArray
+    from collections.abc import Mapping, Sequence
 
 
 PICTURES = "pictures.json"
@@ -244,7 +243,7 @@ def write_yolo(
     task: str = "segment",
     *,
     splits: Sequence[str] = SPLITS,
-    progress: Callable[[int], None] | None = None,
+    progress: Progress | None = None,
 ) -> WrittenYolo:
     """Write a data set in YOLO format: `images/SPLIT`, `labels/SPLIT` and `data.yaml`.
 
@@ -381,7 +380,7 @@ def _row(label: Label, picture: LabelledPicture, task: str) -> str:
     return row
 
 
-def _keypoint(point: NDArray[np.float64], size: NDArray[np.float64]) -> str:
+def _keypoint(point: Array, size: Array) -> str:
     share = (point[:2] + 0.5) / size
     if point[2] == 0 or (share < 0).any() or (share > 1).any():
         # Ultralytics rejects the whole picture if one keypoint lies outside.
@@ -389,7 +388,7 @@ def _keypoint(point: NDArray[np.float64], size: NDArray[np.float64]) -> str:
     return f" {_numbers(share)} {int(point[2])}"
 
 
-def _numbers(values: NDArray[np.float64]) -> str:
+def _numbers(values: Array) -> str:
     return " ".join(f"{v:.6f}" for v in np.ravel(values))
 
 

@@ -19,20 +19,19 @@ from cucumbervision.capture.frames import valid_depth
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.errors import MissingExtraError
 from cucumbervision.fruit.masks import mask_window
+from cucumbervision_lab.arrays import Array, Array32, Mask
 
 if TYPE_CHECKING:
     from types import ModuleType
 
-Baseline = Callable[[NDArray[np.float32], NDArray[np.bool_], Intrinsics], float | None]
+Baseline = Callable[[Array32, Mask, Intrinsics], float | None]
 
 _HALF_WINDOW_PX = 2  # median of a 5x5 window, as in M4
 _SMOOTH_PX = 41  # maximum window of the smoothing along the path
 _MIN_PATH_PX = 5
 
 
-def skan_length(
-    depth_m: NDArray[np.float32], mask: NDArray[np.bool_], intrinsics: Intrinsics
-) -> float | None:
+def skan_length(depth_m: Array32, mask: Mask, intrinsics: Intrinsics) -> float | None:
     """Compute the 3D length of a mask's longest shortest skeleton path by skan.
 
     Parameters
@@ -100,10 +99,7 @@ def available_baselines() -> dict[str, Baseline]:
 
 
 def lifted_length(
-    path_px: NDArray[Any],
-    depth_m: NDArray[np.float32],
-    mask: NDArray[np.bool_],
-    intrinsics: Intrinsics,
+    path_px: NDArray[Any], depth_m: Array32, mask: Mask, intrinsics: Intrinsics
 ) -> float | None:
     """Compute the 3D length of a path of pixels.
 
@@ -148,7 +144,7 @@ def lifted_length(
     return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
 
 
-def _depth_along(path_px: NDArray[Any], readings_m: NDArray[Any]) -> NDArray[np.float64]:
+def _depth_along(path_px: NDArray[Any], readings_m: NDArray[Any]) -> Array:
     half = _HALF_WINDOW_PX
     depth = np.full(len(path_px), np.nan)
     for k, (u, v) in enumerate(path_px):
@@ -159,7 +155,7 @@ def _depth_along(path_px: NDArray[Any], readings_m: NDArray[Any]) -> NDArray[np.
     return depth
 
 
-def _joined(branches: list[NDArray[Any]]) -> NDArray[np.float64]:
+def _joined(branches: list[NDArray[Any]]) -> Array:
     """Join branches end to end; neighbouring branches share an end."""
     remaining = [np.asarray(branch, float) for branch in branches]
     path = remaining.pop(0)

@@ -31,6 +31,7 @@ from cucumbervision.methods.result import IntervalBasis
 from cucumbervision.methods.table import AVAILABLE
 from cucumbervision.run.finders import Finder, make_finder
 from cucumbervision.run.options import MeasureOptions
+from cucumbervision_lab.arrays import Array, Progress
 from cucumbervision_lab.data.labels import ticked
 from cucumbervision_lab.evaluate.cases import paper_cases, stress_cases, validation_cases
 from cucumbervision_lab.evaluate.measure_case import (
@@ -198,9 +199,7 @@ def fit_interval_model(
     return IntervalModel(method, level, names, below, above, bands, edges, missing)
 
 
-def _held_out_spreads(
-    error: NDArray[np.float64], rows: NDArray[np.float64], fold: NDArray[np.intp]
-) -> NDArray[np.float64]:
+def _held_out_spreads(error: Array, rows: Array, fold: NDArray[np.intp]) -> Array:
     """Return the spreads below and above, (2, N), each by trees that did not know the fruit."""
     spreads = np.empty((2, len(error)))
     for held_out in (fold == k for k in range(_FOLDS)):
@@ -210,7 +209,7 @@ def _held_out_spreads(
     return spreads
 
 
-def _fitted_sides(error: NDArray[np.float64], rows: NDArray[np.float64]) -> tuple[Trees, Trees]:
+def _fitted_sides(error: Array, rows: Array) -> tuple[Trees, Trees]:
     """Return the trees of errors below and above 0."""
     below, above = (
         fitted_trees(np.log(np.maximum(side + LEAST_SPREAD, LEAST_SPREAD)), rows)
@@ -219,7 +218,7 @@ def _fitted_sides(error: NDArray[np.float64], rows: NDArray[np.float64]) -> tupl
     return below, above
 
 
-def fitted_trees(target: NDArray[np.float64], rows: NDArray[np.float64]) -> Trees:
+def fitted_trees(target: Array, rows: Array) -> Trees:
     """Fit a quantile of a value by its features, by gradient boosting.
 
     Parameters
@@ -268,7 +267,7 @@ def _parts_of(tree: Any) -> tuple[Any, Any, Any]:
     return features, limits, tuple(_RATE * float(tree.value[leaf].item()) for leaf in leaves)
 
 
-def _band(error: NDArray[np.float64], spreads: NDArray[np.float64], level: float) -> Band:
+def _band(error: Array, spreads: Array, level: float) -> Band:
     short, long = -error / spreads[0], error / spreads[1]
     side = (1 + level) / 2
     low, high = conformal_quantile(short, side), conformal_quantile(long, side)
@@ -422,7 +421,7 @@ def run_cases(
     options: CaseOptions,
     records: Path,
     workers: int = 2,
-    report: Callable[[int], None] | None = None,
+    report: Progress | None = None,
 ) -> list[LengthRecord]:
     """Measure the cases that are not in the file yet, and return the records of all cases.
 

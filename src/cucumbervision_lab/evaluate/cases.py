@@ -10,6 +10,7 @@ import numpy as np
 
 from cucumbervision.capture.frames import Capture, fuse_burst
 from cucumbervision.capture.intrinsics import Intrinsics
+from cucumbervision_lab.arrays import Generator, Pixels
 from cucumbervision_lab.scenes.appearance import Assets, random_style
 from cucumbervision_lab.scenes.bodies import Tube, random_fruit, rotation, variety_of
 from cucumbervision_lab.scenes.color_camera import Exposure, expose
@@ -20,8 +21,6 @@ from cucumbervision_lab.scenes.shading import shade
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-
-    from numpy.typing import NDArray
 
 
 class Suite(StrEnum):
@@ -337,7 +336,7 @@ def simulate(case: Case, frames: int = _FRAMES, paint: bool = False) -> Simulate
     return Simulated(capture, truth, scale)
 
 
-def paint_scene(scene: Scene, view: View, rng: np.random.Generator) -> NDArray[np.uint8]:
+def paint_scene(scene: Scene, view: View, rng: Generator) -> Pixels:
     """Return the colour picture of a scene, (H, W, 3), with random light and appearance."""
     style = random_style(rng, scene, Assets(), "hanging")
     light = shade(scene, view, CAMERA, style, Assets(), rng)
@@ -355,7 +354,7 @@ def _sensor(case: Case) -> D4xx:
     return sensor
 
 
-def _background(case: Case, rng: np.random.Generator) -> list[Leaf]:
+def _background(case: Case, rng: Generator) -> list[Leaf]:
     leaves = []
     half_view = 0.5 * CAMERA.width / CAMERA.fx_px
     for _ in range(_BACKGROUND_LEAVES):
@@ -369,7 +368,7 @@ def _background(case: Case, rng: np.random.Generator) -> list[Leaf]:
     return leaves
 
 
-def _occluders(case: Case, fruit: Tube, rng: np.random.Generator) -> list[Leaf]:
+def _occluders(case: Case, fruit: Tube, rng: Generator) -> list[Leaf]:
     if case.hidden_share <= 0:
         return []
     axis = fruit.axis_m

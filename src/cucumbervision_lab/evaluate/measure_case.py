@@ -19,13 +19,12 @@ from cucumbervision.methods.intervals import mask_features, tube_features
 from cucumbervision.methods.result import MethodName, Selector
 from cucumbervision.methods.selector import choose, measure_fruit
 from cucumbervision.methods.table import AVAILABLE, masked_points
+from cucumbervision_lab.arrays import Array, Array32, Generator, Mask
 from cucumbervision_lab.evaluate.baselines import available_baselines
 from cucumbervision_lab.evaluate.cases import Simulated, simulate
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
-
-    from numpy.typing import NDArray
 
     from cucumbervision.capture.frames import Capture
     from cucumbervision.methods.result import Fruit
@@ -211,9 +210,7 @@ def require_extra() -> None:
 _CORRELATION_PX = 12.0
 
 
-def draw_disturbance(
-    shape: tuple[int, int], rms_px: float, rng: np.random.Generator
-) -> NDArray[np.float32]:
+def draw_disturbance(shape: tuple[int, int], rms_px: float, rng: Generator) -> Array32:
     """Generate a smooth random displacement field of an outline with a given RMS.
 
     Examples
@@ -226,7 +223,7 @@ def draw_disturbance(
     return np.asarray(noise * np.float32(rms_px / noise.std()))
 
 
-def disturb_mask(mask: NDArray[np.bool_], shift_px: NDArray[np.float32]) -> NDArray[np.bool_]:
+def disturb_mask(mask: Mask, shift_px: Array32) -> Mask:
     """Displace the outline of a mask by a field.
 
     Parameters
@@ -332,7 +329,7 @@ def _instance(taken: Simulated, kind: Masks, case: Case, find: Find | None) -> I
     return found_at(exact.box, find(taken.capture))
 
 
-def found_at(box: NDArray[np.float64], instances: Sequence[Instance]) -> Instance | None:
+def found_at(box: Array, instances: Sequence[Instance]) -> Instance | None:
     """Return the detection that matches a box x1, y1, x2, y2 in pixels, or None."""
     best = max(instances, key=lambda instance: box_iou(instance.box, box), default=None)
     return None if best is None or box_iou(best.box, box) < _FOUND_IOU else best
@@ -428,6 +425,6 @@ def interval_details(fruit: Fruit) -> dict[str, Any]:
     return details
 
 
-def _chord_tilt_deg(axis_m: Sequence[NDArray[np.float64]] | NDArray[np.float64]) -> float:
+def _chord_tilt_deg(axis_m: Sequence[Array] | Array) -> float:
     run = np.asarray(axis_m[-1]) - np.asarray(axis_m[0])
     return float(np.rad2deg(np.arcsin(min(1.0, abs(run[2]) / np.linalg.norm(run)))))

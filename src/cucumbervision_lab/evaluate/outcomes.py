@@ -15,6 +15,7 @@ import pandas as pd
 
 from cucumbervision.accuracy.statistics import Estimate, share
 from cucumbervision.fruit.masks import box_iou, box_ious, share_inside
+from cucumbervision_lab.arrays import Array, Mask
 from cucumbervision_lab.evaluate.pictures import Stage, code_iou, import_pycocotools
 
 if TYPE_CHECKING:
@@ -102,7 +103,7 @@ def match_boxes(
     return Matches(tuple(sorted(pairs)), missed, tuple(false), tuple(neutral))
 
 
-def _best(overlaps: NDArray[Any], taken: NDArray[np.bool_], required: int) -> int | None:
+def _best(overlaps: NDArray[Any], taken: Mask, required: int) -> int | None:
     """Return the unmatched box with the largest overlap, required boxes first."""
     free = np.where(taken, 0.0, overlaps)
     for part, start in ((free[:required], 0), (free[required:], required)):
@@ -111,7 +112,7 @@ def _best(overlaps: NDArray[Any], taken: NDArray[np.bool_], required: int) -> in
     return None
 
 
-def _boxes(values: ArrayLike) -> NDArray[np.float64]:
+def _boxes(values: ArrayLike) -> Array:
     return np.asarray(values, np.float64).reshape(-1, 4)
 
 
@@ -120,9 +121,7 @@ _ENDS = [0, 4]  # blossom and stem
 _EDGE_PX = 1.5  # a box closer to the border counts as cut off
 
 
-def match_fruit(
-    frame: Frame, boxes: Sequence[NDArray[np.float64]]
-) -> tuple[Matches, tuple[int, ...]]:
+def match_fruit(frame: Frame, boxes: Sequence[Array]) -> tuple[Matches, tuple[int, ...]]:
     """Match boxes with the labelled fruit of a frame.
 
     Returns
@@ -257,7 +256,7 @@ def end_rows(frames: Sequence[Frame], confidence: float) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=_END)
 
 
-def _end_errors(true: NDArray[np.float64], points: NDArray[np.float64]) -> tuple[Any, ...]:
+def _end_errors(true: Array, points: Array) -> tuple[Any, ...]:
     length = float(np.linalg.norm(np.diff(true[:, :2], axis=0), axis=1).sum())
     ends, measured = true[_ENDS, :2], points[_ENDS, :2]
     straight = np.linalg.norm(measured - ends, axis=1)
@@ -268,7 +267,7 @@ def _end_errors(true: NDArray[np.float64], points: NDArray[np.float64]) -> tuple
     return length, *percent, *(true[_ENDS, 2] == 2), swapped, *points[_ENDS, 2]
 
 
-def _at_border(box: NDArray[np.float64], frame: Frame) -> bool:
+def _at_border(box: Array, frame: Frame) -> bool:
     inside = np.concatenate([box[:2] + 0.5, (frame.width - 0.5, frame.height - 0.5) - box[2:]])
     return bool(inside.min() < _EDGE_PX)
 
@@ -467,6 +466,6 @@ def _seen_entry(detection: DetectedFruit, iou_type: IouType, frame: Frame) -> di
     return entry
 
 
-def _xywh(box: NDArray[np.float64]) -> list[float]:
+def _xywh(box: Array) -> list[float]:
     x1, y1, x2, y2 = (float(edge) + 0.5 for edge in box)
     return [x1, y1, x2 - x1, y2 - y1]

@@ -21,16 +21,15 @@ from cucumbervision.files import read_json
 from cucumbervision.fruit.label_files import parse_yolo_line
 from cucumbervision.fruit.mask_codes import Rle, fill_polygon
 from cucumbervision.fruit.masks import box_iou
+from cucumbervision_lab.arrays import Array, Pixels, Progress
 from cucumbervision_lab.data.labels import DataSet, Label, LabelledPicture, list_pictures, ticked
 from cucumbervision_lab.evaluate.outcomes import Score, detection_rows, fruit_rows, overall
 from cucumbervision_lab.evaluate.picture_result import detect_picture
 from cucumbervision_lab.evaluate.pictures import Frame, TrueFruit
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
-
-    from numpy.typing import NDArray
 
     from cucumbervision_lab.evaluate.picture_result import Networks
 
@@ -303,7 +302,7 @@ def audited_photos(folder: Path, split: str = "test") -> tuple[list[Photo], int]
     return photos, count - len(photos)
 
 
-def _keypoints(ends_px: Sequence[Sequence[float]] | None) -> NDArray[np.float64] | None:
+def _keypoints(ends_px: Sequence[Sequence[float]] | None) -> Array | None:
     """Return five keypoints of which only the two ends are labelled."""
     if ends_px is None:
         return None
@@ -313,10 +312,7 @@ def _keypoints(ends_px: Sequence[Sequence[float]] | None) -> NDArray[np.float64]
 
 
 def evaluate_photos(
-    photos: Sequence[Photo],
-    networks: Networks,
-    missing: int = 0,
-    report: Callable[[int], None] | None = None,
+    photos: Sequence[Photo], networks: Networks, missing: int = 0, report: Progress | None = None
 ) -> PhotoResult:
     """Run the networks on photos and compute recall and precision.
 
@@ -346,7 +342,7 @@ def evaluate_photos(
     return PhotoResult(confidence, tuple(photos), tuple(frames), tuple(small), missing)
 
 
-def half_size(truth: Frame, color: NDArray[np.uint8]) -> tuple[Frame, NDArray[np.uint8]]:
+def half_size(truth: Frame, color: Pixels) -> tuple[Frame, Pixels]:
     """Return a photo at half size, centred in a grey picture of the original size.
 
     Without the padding, a network would scale the smaller picture up to its input size, so the

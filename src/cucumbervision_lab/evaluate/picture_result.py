@@ -17,6 +17,7 @@ from cucumbervision.networks.confidence import (
 from cucumbervision.networks.find import each_fruit_once
 from cucumbervision.networks.keypoint_axis import place_keypoints
 from cucumbervision.networks.loaded import NetworkLoader
+from cucumbervision_lab.arrays import Array32, Pixels
 from cucumbervision_lab.evaluate.outcomes import match_detections
 from cucumbervision_lab.evaluate.pictures import (
     DetectedFruit,
@@ -28,9 +29,6 @@ from cucumbervision_lab.evaluate.pictures import (
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
-
-    import numpy as np
-    from numpy.typing import NDArray
 
     from cucumbervision.fruit.instance import Instance
     from cucumbervision.networks.loaded import NetworkSegmenter
@@ -149,9 +147,9 @@ def open_networks(
 
 def detect_picture(
     frame: Frame,
-    color: NDArray[np.uint8],
+    color: Pixels,
     networks: Networks,
-    depth_m: NDArray[np.float32] | None = None,
+    depth_m: Array32 | None = None,
     focal_px: float | None = None,
 ) -> PictureResult:
     """Run the networks on one picture.
@@ -222,7 +220,7 @@ def detect_set(data: DataSet, networks: Networks) -> list[Frame]:
 
 
 def _placed(
-    instances: tuple[Instance, ...], segmenter: NetworkSegmenter, color: NDArray[np.uint8]
+    instances: tuple[Instance, ...], segmenter: NetworkSegmenter, color: Pixels
 ) -> tuple[Instance, ...]:
     """Replace keypoints by those on the axes of SAM's masks, as used for measurement."""
     drawn = place_keypoints(segmenter.segment(color, instances))
@@ -236,7 +234,7 @@ def merge_detections(
     segmented: Sequence[Instance] | None,
     posed: Sequence[Instance] | None,
     confidence: float,
-    depth_m: NDArray[np.float32] | None = None,
+    depth_m: Array32 | None = None,
     *,
     looks: int = 1,
     look: Callable[[Sequence[Instance]], Sequence[Instance]] | None = None,

@@ -12,13 +12,12 @@ import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.errors import CaptureError, DataSetError, MissingExtraError
+from cucumbervision_lab.arrays import Array, Array32, Mask, Pixels
 from cucumbervision_lab.data.coco import read_coco
 from cucumbervision_lab.data.labels import picture_size
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-
-    from numpy.typing import NDArray
 
     from cucumbervision.capture.frames import Capture
     from cucumbervision.fruit.instance import Instance
@@ -81,9 +80,9 @@ class TrueFruit:
         The true axis from blossom end to stem end, camera coordinates, metres.
     """
 
-    box: NDArray[np.float64]
+    box: Array
     code: Code | None = None
-    keypoints: NDArray[np.float64] | None = None
+    keypoints: Array | None = None
     ignore: bool = False
     optional: bool = False
     hidden_share: float = math.nan
@@ -92,7 +91,7 @@ class TrueFruit:
     centreline_m: float | None = None
     thread_m: float | None = None
     chord_m: float | None = None
-    axis_m: NDArray[np.float64] | None = None
+    axis_m: Array | None = None
 
     @property
     def required(self) -> bool:
@@ -123,10 +122,10 @@ class DetectedFruit:
         Depth at the centre of the box; NaN if unknown.
     """
 
-    box: NDArray[np.float64]
+    box: Array
     score: float
     code: Code | None = None
-    keypoints: NDArray[np.float64] | None = None
+    keypoints: Array | None = None
     distance_m: float = math.nan
 
     @property
@@ -174,7 +173,7 @@ class Frame:
         ]
 
 
-def encode_mask(mask: NDArray[np.bool_]) -> Code:
+def encode_mask(mask: Mask) -> Code:
     """Encode a mask of shape (H, W).
 
     Examples
@@ -196,7 +195,7 @@ def code_iou(a: Code | None, b: Code | None) -> float:
     return float(import_pycocotools().iou([a], [b], [0])[0, 0])
 
 
-def detected_fruit(instance: Instance, depth_m: NDArray[np.float32] | None = None) -> DetectedFruit:
+def detected_fruit(instance: Instance, depth_m: Array32 | None = None) -> DetectedFruit:
     """Convert an instance to a detection with encoded mask, which saves memory.
 
     Parameters
@@ -212,7 +211,7 @@ def detected_fruit(instance: Instance, depth_m: NDArray[np.float32] | None = Non
     return DetectedFruit(instance.box, instance.confidence, code, instance.keypoints, distance)
 
 
-def _centre_depth(box: NDArray[np.float64], depth_m: NDArray[np.float32]) -> float:
+def _centre_depth(box: Array, depth_m: Array32) -> float:
     x1, y1, x2, y2 = box
     first_column, last_column = np.rint([(2 * x1 + x2) / 3, (x1 + 2 * x2) / 3]).astype(int)
     top, bottom = np.rint([(2 * y1 + y2) / 3, (y1 + 2 * y2) / 3]).astype(int)
@@ -311,7 +310,7 @@ def spread(items: Sequence[T], limit: int | None) -> tuple[T, ...]:
     return tuple(items[k] for k in np.linspace(0, len(items) - 1, limit).round().astype(int))
 
 
-def frame_of(picture: LabelledPicture, data: DataSet, depth_m: NDArray[np.float32] | None) -> Frame:
+def frame_of(picture: LabelledPicture, data: DataSet, depth_m: Array32 | None) -> Frame:
     """Return the labels of a picture for evaluation.
 
     Cucumbers must be detected, zucchini are optional, and other classes are background.
@@ -336,7 +335,7 @@ def frame_of(picture: LabelledPicture, data: DataSet, depth_m: NDArray[np.float3
     return Frame(picture.file, scene, picture.width, picture.height, tuple(true_fruit))
 
 
-def _true_fruit(label: Label, depth_m: NDArray[np.float32] | None) -> TrueFruit:
+def _true_fruit(label: Label, depth_m: Array32 | None) -> TrueFruit:
     mask = label.mask_code
     code = None if mask is None else {"size": [mask.height, mask.width], "counts": mask.counts}
     extras = label.extras
@@ -360,7 +359,7 @@ def _true_fruit(label: Label, depth_m: NDArray[np.float32] | None) -> TrueFruit:
     )
 
 
-def capture_of(picture: LabelledPicture, data: DataSet, color: NDArray[np.uint8]) -> Capture | None:
+def capture_of(picture: LabelledPicture, data: DataSet, color: Pixels) -> Capture | None:
     """Return a picture as RGB-D capture, or None without depth or camera.
 
     Raises

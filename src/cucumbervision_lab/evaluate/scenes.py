@@ -21,6 +21,7 @@ from cucumbervision.methods.pose import Part, stem_first
 from cucumbervision.methods.selector import measure_fruit
 from cucumbervision.networks.confidence import DEFAULT_CONFIDENCE
 from cucumbervision.networks.registry import load_registry
+from cucumbervision_lab.arrays import Array, Mask
 from cucumbervision_lab.data.labels import ticked
 from cucumbervision_lab.evaluate.benchmark import (
     fit_interval_models,
@@ -54,8 +55,6 @@ from cucumbervision_lab.processes import each_done
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
     from pathlib import Path
-
-    from numpy.typing import NDArray
 
     from cucumbervision.capture.frames import Capture
     from cucumbervision.methods.intervals import IntervalModels
@@ -254,12 +253,12 @@ def _true_instance(frame: Frame, number: int) -> Instance:
     return Instance(box_of_mask(mask), mask=mask, mask_source=MaskSource.DATASET, keypoints=points)
 
 
-def _true_mask(fruit: TrueFruit) -> NDArray[np.bool_]:
+def _true_mask(fruit: TrueFruit) -> Mask:
     code = fruit.code or {}
     return decode_rle(code["counts"], *code["size"])
 
 
-def pose_errors(pose: FruitPose, axis_m: NDArray[np.float64]) -> dict[str, Any]:
+def pose_errors(pose: FruitPose, axis_m: Array) -> dict[str, Any]:
     """Return how far a fruit's pose is from the true one.
 
     Parameters
@@ -306,7 +305,7 @@ def pose_errors(pose: FruitPose, axis_m: NDArray[np.float64]) -> dict[str, Any]:
 
 
 def _with_gravity(
-    measured: Fruit, axis_m: NDArray[np.float64], capture: Capture, swapped: bool
+    measured: Fruit, axis_m: Array, capture: Capture, swapped: bool
 ) -> dict[str, Any]:
     """Return what gravity would make of a pose's ends, and whether the fruit hangs."""
     if capture.gravity is None or measured.selected is None:
@@ -451,7 +450,7 @@ def _measured(data: DataSet, picture: LabelledPicture) -> list[LengthRecord]:
 _AMBIGUOUS_OVERLAP = 0.3  # unmatched detections that overlap a fruit by more are not negatives
 
 
-def true_positives(frame: Frame, boxes: NDArray[np.float64]) -> list[bool | None]:
+def true_positives(frame: Frame, boxes: Array) -> list[bool | None]:
     """Return whether each box is a true positive; None for duplicates and parts of a fruit."""
     boxes = boxes.reshape(-1, 4)
     hits = {index for _, index in match_fruit(frame, list(boxes))[0].pairs}

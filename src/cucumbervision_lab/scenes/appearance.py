@@ -10,7 +10,8 @@ import cv2
 import numpy as np
 
 from cucumbervision.errors import CaptureError
-from cucumbervision_lab.scenes.colors import jitter
+from cucumbervision_lab.arrays import Array32, Generator, Pixels
+from cucumbervision_lab.scenes.colors import Color, jitter, palette
 from cucumbervision_lab.scenes.compose import Setting
 from cucumbervision_lab.scenes.lighting import Light, random_light
 from cucumbervision_lab.scenes.skin import LOOKS, Skin, random_skin
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
 
     from cucumbervision_lab.scenes.lighting import Vector
     from cucumbervision_lab.scenes.scene import Scene
-    from cucumbervision_lab.scenes.skin import Color
 
 _SHOWS_FRUIT = ("fruit", "rot_")
 
@@ -57,10 +57,10 @@ class Assets:
         Close-ups of leaves, RGB, the longer side at most 512 px.
     """
 
-    skins: tuple[NDArray[np.uint8], ...] = ()
-    backgrounds: tuple[NDArray[np.uint8], ...] = ()
-    environments: tuple[NDArray[np.float32], ...] = ()
-    leaves: tuple[NDArray[np.uint8], ...] = ()
+    skins: tuple[Pixels, ...] = ()
+    backgrounds: tuple[Pixels, ...] = ()
+    environments: tuple[Array32, ...] = ()
+    leaves: tuple[Pixels, ...] = ()
 
 
 def load_assets(folder: Path | None) -> Assets:
@@ -118,7 +118,7 @@ def load_assets(folder: Path | None) -> Assets:
 
 def _pictures(
     folder: Path, pattern: str, longest_px: int, without: Sequence[str], bad: list[str]
-) -> tuple[NDArray[np.uint8], ...]:
+) -> tuple[Pixels, ...]:
     pictures = []
     for picture in _read_all(folder, pattern, _PICTURES, without, bad):
         scale = min(longest_px / max(picture.shape[:2]), 1.0)
@@ -128,7 +128,7 @@ def _pictures(
     return tuple(pictures)
 
 
-def _environments(folder: Path, bad: list[str]) -> tuple[NDArray[np.float32], ...]:
+def _environments(folder: Path, bad: list[str]) -> tuple[Array32, ...]:
     environments = []
     for light in _read_all(folder, "**/hdri*/**/*", _LIGHTS, (), bad):
         sky = light[..., :3].astype(np.float32)
@@ -161,39 +161,16 @@ _ROLES = ("leaf", "blossom", "stem", "stalk", "string", "crate")
 
 FAR = "far"
 
-_LEAVES = (
-    (42.0, 70.0, 38.0),
-    (50.0, 92.0, 38.0),
-    (66.0, 116.0, 42.0),
-    (84.0, 136.0, 46.0),
-    (112.0, 152.0, 60.0),
-)
+_LEAVES = palette("2a4626 325c26 42742a 54882e 70983c")
 
-_FADED = ((150.0, 150.0, 66.0), (128.0, 104.0, 60.0))
+_FADED = palette("969642 80683c")
 
 _ROLE_COLORS: dict[str, tuple[Color, ...]] = {
-    "blossom": (
-        (222.0, 180.0, 40.0),
-        (196.0, 150.0, 70.0),
-        (140.0, 104.0, 62.0),
-        (96.0, 74.0, 50.0),
-    ),
-    "stem": ((96.0, 124.0, 66.0), (122.0, 146.0, 84.0), (80.0, 104.0, 56.0)),
-    "stalk": ((104.0, 132.0, 66.0), (130.0, 152.0, 84.0), (84.0, 112.0, 52.0)),
-    "string": (
-        (226.0, 226.0, 220.0),
-        (170.0, 170.0, 166.0),
-        (140.0, 116.0, 84.0),
-        (40.0, 40.0, 42.0),
-    ),
-    "crate": (
-        (42.0, 44.0, 46.0),
-        (40.0, 100.0, 60.0),
-        (40.0, 90.0, 160.0),
-        (190.0, 160.0, 118.0),
-        (200.0, 202.0, 204.0),
-        (170.0, 50.0, 40.0),
-    ),
+    "blossom": palette("deb428 c49646 8c683e 604a32"),
+    "stem": palette("607c42 7a9254 506838"),
+    "stalk": palette("688442 829854 547034"),
+    "string": palette("e2e2dc aaaaa6 8c7454 28282a"),
+    "crate": palette("2a2c2e 28643c 285aa0 bea076 c8cacc aa3228"),
 }
 
 _BENCHES = ("wood", "steel", "plastic", "cloth", "concrete", "cardboard", "paper", "soil")
@@ -244,7 +221,7 @@ class Style:
 
 
 def random_style(
-    rng: np.random.Generator,
+    rng: Generator,
     scene: Scene,
     assets: Assets,
     setting: Setting | str,
@@ -336,7 +313,7 @@ def _stem_roles(scene: Scene) -> tuple[str, ...]:
     return tuple("string" if stem.radius_m < 0.0025 else "stem" for stem in scene.stems)
 
 
-def _skins(rng: np.random.Generator, scene: Scene, assets: Assets) -> tuple[Skin, ...]:
+def _skins(rng: Generator, scene: Scene, assets: Assets) -> tuple[Skin, ...]:
     names = tuple(LOOKS)
     main = names[rng.choice(len(names), p=[0.36, 0.22, 0.14, 0.16, 0.12])]
     kin = random_skin(rng, main, assets)
@@ -349,7 +326,7 @@ def _skins(rng: np.random.Generator, scene: Scene, assets: Assets) -> tuple[Skin
     return tuple(skins)
 
 
-def _sibling(rng: np.random.Generator, kin: Skin, neighbour: Skin) -> Skin:
+def _sibling(rng: Generator, kin: Skin, neighbour: Skin) -> Skin:
     # Fruit of one plant are similar but not identical: some ripen, some become pale.
     return replace(
         kin,
@@ -362,7 +339,7 @@ def _sibling(rng: np.random.Generator, kin: Skin, neighbour: Skin) -> Skin:
     )
 
 
-def _leaf_colors(rng: np.random.Generator, roles: tuple[str, ...]) -> tuple[Color, ...]:
+def _leaf_colors(rng: Generator, roles: tuple[str, ...]) -> tuple[Color, ...]:
     main = jitter(rng, _LEAVES[rng.integers(len(_LEAVES))])
     colors = []
     for role in roles:
@@ -378,7 +355,7 @@ def _leaf_colors(rng: np.random.Generator, roles: tuple[str, ...]) -> tuple[Colo
     return tuple(colors)
 
 
-def _stem_colors(rng: np.random.Generator, roles: tuple[str, ...]) -> tuple[Color, ...]:
+def _stem_colors(rng: Generator, roles: tuple[str, ...]) -> tuple[Color, ...]:
     main = {
         role: _ROLE_COLORS[role][rng.integers(len(_ROLE_COLORS[role]))] for role in _ROLE_COLORS
     }

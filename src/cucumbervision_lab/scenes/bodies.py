@@ -10,6 +10,7 @@ import numpy as np
 
 from cucumbervision.tube.curve import polyline_length
 from cucumbervision.tube.shape import thread_length
+from cucumbervision_lab.arrays import Array, Generator
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -31,12 +32,12 @@ class Tube:
         Unit vector in the plane of bending, towards the convex side at the middle.
     """
 
-    centres_m: NDArray[np.float64]
-    radii_m: NDArray[np.float64]
-    outward: NDArray[np.float64]
+    centres_m: Array
+    radii_m: Array
+    outward: Array
 
     @property
-    def poles_m(self) -> NDArray[np.float64]:
+    def poles_m(self) -> Array:
         """The two ends of the axis, shape (2, 3), metres."""
         first, last = self._end_tangents()
         return np.stack(
@@ -47,7 +48,7 @@ class Tube:
         )
 
     @property
-    def axis_m(self) -> NDArray[np.float64]:
+    def axis_m(self) -> Array:
         """The central axis from pole to pole, shape (K + 2, 3), metres."""
         blossom, stem = self.poles_m
         return np.vstack([blossom, self.centres_m, stem])
@@ -67,7 +68,7 @@ class Tube:
         """Length along the outer side of the bend between the poles, metres."""
         return thread_length(self.centres_m, self.radii_m, self.outward)
 
-    def moved(self, turn: NDArray[np.float64], by_m: ArrayLike) -> Tube:
+    def moved(self, turn: Array, by_m: ArrayLike) -> Tube:
         """Return the body rotated about the origin by a 3x3 matrix, then translated by metres."""
         return Tube(
             self.centres_m @ turn.T + np.asarray(by_m, dtype=float),
@@ -75,7 +76,7 @@ class Tube:
             self.outward @ turn.T,
         )
 
-    def _end_tangents(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _end_tangents(self) -> tuple[Array, Array]:
         first = self.centres_m[1] - self.centres_m[0]
         last = self.centres_m[-1] - self.centres_m[-2]
         return first / np.linalg.norm(first), last / np.linalg.norm(last)
@@ -203,9 +204,7 @@ def variety_of(length_m: float) -> Variety:
     return Variety.MEDIUM if length_m < 0.25 else Variety.LONG
 
 
-def bent_tube(
-    length_m: float, radii_m: NDArray[np.float64], curvature_per_m: NDArray[np.float64]
-) -> Tube:
+def bent_tube(length_m: float, radii_m: Array, curvature_per_m: Array) -> Tube:
     """Create a planar fruit from radius and curvature along its axis.
 
     Parameters
@@ -259,7 +258,7 @@ def bent_tube(
 
 
 def random_fruit(
-    rng: np.random.Generator,
+    rng: Generator,
     length_m: float,
     variety: Variety | str | None = None,
     *,
@@ -309,7 +308,7 @@ def random_fruit(
     return bent_tube(length_m, radii, bend * _bending(rng, share))
 
 
-def _bending(rng: np.random.Generator, share: NDArray[np.float64]) -> NDArray[np.float64]:
+def _bending(rng: Generator, share: Array) -> Array:
     if rng.random() < 1 / 8:  # an S-shaped fruit
         shape = np.sin(2 * np.pi * (share - rng.uniform(-0.08, 0.08))) + rng.uniform(-0.25, 0.25)
     else:
@@ -318,9 +317,7 @@ def _bending(rng: np.random.Generator, share: NDArray[np.float64]) -> NDArray[np
     return np.asarray(shape / np.abs(shape).mean())
 
 
-def _radii(
-    rng: np.random.Generator, length_m: float, sizes: _Sizes, share: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _radii(rng: Generator, length_m: float, sizes: _Sizes, share: Array) -> Array:
     radius = float(rng.uniform(*sizes.radius_m))
     bulge = 1 + rng.uniform(-0.04, 0.06) * np.sin(np.pi * share)
     bulge += rng.uniform(-0.025, 0.025) * np.sin(2 * np.pi * share)

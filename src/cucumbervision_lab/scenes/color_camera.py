@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
+from cucumbervision_lab.arrays import Array32, Generator, Pixels
 from cucumbervision_lab.scenes.colors import to_srgb
 
 if TYPE_CHECKING:
@@ -62,7 +63,7 @@ class Exposure:
     quality: int = 92
 
 
-def random_exposure(rng: np.random.Generator, width: int = 1280) -> Exposure:
+def random_exposure(rng: Generator, width: int = 1280) -> Exposure:
     """Sample camera settings: mostly good, some dark, bright, blurred or noisy.
 
     Parameters
@@ -98,9 +99,7 @@ def random_exposure(rng: np.random.Generator, width: int = 1280) -> Exposure:
     )
 
 
-def expose(
-    linear: NDArray[np.float32], exposure: Exposure, rng: np.random.Generator
-) -> NDArray[np.uint8]:
+def expose(linear: Array32, exposure: Exposure, rng: Generator) -> Pixels:
     """Simulate a picture of the colour camera.
 
     Parameters
@@ -136,7 +135,7 @@ def expose(
     return np.asarray(picture, np.uint8)
 
 
-def _apply_exposure(linear: NDArray[np.float32], exposure: Exposure) -> NDArray[np.float32]:
+def _apply_exposure(linear: Array32, exposure: Exposure) -> Array32:
     few = linear[::8, ::8].reshape(-1, 3) @ np.array([0.25, 0.6, 0.15], np.float32)
     mean = float(np.minimum(few, 8 * np.median(few) + 1e-6).mean())
     bright = float(np.quantile(few, 0.998))  # a fruit may be all that is lit
@@ -153,7 +152,7 @@ def _apply_exposure(linear: NDArray[np.float32], exposure: Exposure) -> NDArray[
     return np.asarray(np.minimum(light, 6.0))
 
 
-def _blurred(light: NDArray[np.float32], exposure: Exposure) -> NDArray[np.float32]:
+def _blurred(light: Array32, exposure: Exposure) -> Array32:
     if exposure.blur_px > 0:
         light = np.asarray(cv2.GaussianBlur(light, (0, 0), exposure.blur_px))
     if exposure.motion_px > 1:
@@ -161,7 +160,7 @@ def _blurred(light: NDArray[np.float32], exposure: Exposure) -> NDArray[np.float
     return light
 
 
-def _path(exposure: Exposure) -> NDArray[np.float32]:
+def _path(exposure: Exposure) -> Array32:
     half = int(np.ceil(exposure.motion_px / 2))
     kernel = np.zeros((2 * half + 1, 2 * half + 1), np.float32)
     turn = np.deg2rad(exposure.motion_deg)
@@ -171,9 +170,7 @@ def _path(exposure: Exposure) -> NDArray[np.float32]:
     return np.asarray(kernel / kernel.sum())
 
 
-def _add_noise(
-    light: NDArray[np.float32], exposure: Exposure, rng: np.random.Generator
-) -> NDArray[np.float32]:
+def _add_noise(light: Array32, exposure: Exposure, rng: Generator) -> Array32:
     if exposure.shot == 0 and exposure.read == 0:
         return light
     height, width = light.shape[:2]
@@ -186,7 +183,7 @@ def _add_noise(
     return np.asarray(light + spread * np.dstack([1.4 * red, 1.3 * green, 1.6 * blue]))
 
 
-def _apply_tone_curve(light: NDArray[np.float32], exposure: Exposure) -> NDArray[np.float32]:
+def _apply_tone_curve(light: Array32, exposure: Exposure) -> Array32:
     # Highlights are compressed before clipping.
     light = np.maximum(light, 0)
     grey = light @ np.array([0.25, 0.6, 0.15], np.float32)
@@ -198,7 +195,7 @@ def _apply_tone_curve(light: NDArray[np.float32], exposure: Exposure) -> NDArray
     return np.asarray(np.minimum(light, 0.7) + 0.3 * over / (over + 0.3))
 
 
-def _compressed(picture: NDArray[np.uint8], quality: int) -> NDArray[np.uint8]:
+def _compressed(picture: Pixels, quality: int) -> Pixels:
     _, packed = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
     unpacked: NDArray[Any] | None = cv2.imdecode(packed, cv2.IMREAD_COLOR)
     return picture if unpacked is None else np.ascontiguousarray(unpacked[..., ::-1], np.uint8)

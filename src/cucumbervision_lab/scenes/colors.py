@@ -11,17 +11,34 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
+from cucumbervision_lab.arrays import Array32, Generator, Pixels
+
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     Grain = float | tuple[float, float]
 
 
+Color = tuple[float, float, float]
+"""sRGB, 0 to 255."""
+
 _SRGB_LEVELS = 4096
 _ROW = 1024  # OpenCV's remap does not accept rows of 32767 or more pixels
 
 
-def to_linear(srgb: ArrayLike) -> NDArray[np.float32]:
+def palette(colors: str) -> tuple[Color, ...]:
+    """Return the colours that are written in hexadecimal.
+
+    Examples
+    --------
+    >>> palette("ff0000 102030")
+    ((255.0, 0.0, 0.0), (16.0, 32.0, 48.0))
+    """
+    rgb = (bytes.fromhex(color) for color in colors.split())
+    return tuple((float(red), float(green), float(blue)) for red, green, blue in rgb)
+
+
+def to_linear(srgb: ArrayLike) -> Array32:
     """Convert sRGB (0 to 255) to linear RGB (0 to 1), IEC 61966-2-1.
 
     Examples
@@ -35,12 +52,12 @@ def to_linear(srgb: ArrayLike) -> NDArray[np.float32]:
     return _linear(values.astype(np.float32) / 255)
 
 
-def _linear(c: NDArray[Any]) -> NDArray[np.float32]:
+def _linear(c: NDArray[Any]) -> Array32:
     bent = ((np.maximum(c, 0) + 0.055) / 1.055) ** 2.4
     return np.where(c <= 0.04045, c / 12.92, bent).astype(np.float32)
 
 
-def to_srgb(linear: NDArray[np.float32]) -> NDArray[np.uint8]:
+def to_srgb(linear: Array32) -> Pixels:
     """Convert linear RGB, clipped to 0 to 1, to sRGB.
 
     Parameters
@@ -65,7 +82,7 @@ def to_srgb(linear: NDArray[np.float32]) -> NDArray[np.uint8]:
     return np.asarray(table[level.astype(np.uint16)])
 
 
-def mix(a: ArrayLike, b: ArrayLike, share: NDArray[np.float32]) -> NDArray[np.float32]:
+def mix(a: ArrayLike, b: ArrayLike, share: Array32) -> Array32:
     """Interpolate between two colours: `a` for a share of 0, `b` for 1.
 
     Parameters
@@ -87,14 +104,14 @@ def mix(a: ArrayLike, b: ArrayLike, share: NDArray[np.float32]) -> NDArray[np.fl
     return _spread(a, 1 - share) + _spread(b, share)
 
 
-def _spread(color: ArrayLike, weight: NDArray[np.float32]) -> NDArray[np.float32]:
+def _spread(color: ArrayLike, weight: Array32) -> Array32:
     values = np.asarray(color, np.float32)
     if values.ndim > 1:
         return scale_colors(values, weight)
     return np.asarray(weight.reshape(-1, 1) @ values[None]).reshape(*weight.shape, 3)
 
 
-def scale_colors(picture: NDArray[np.float32], factor: NDArray[Any]) -> NDArray[np.float32]:
+def scale_colors(picture: Array32, factor: NDArray[Any]) -> Array32:
     """Multiply colours of shape (..., 3) by factors of shape (...).
 
     Examples
@@ -108,7 +125,7 @@ def scale_colors(picture: NDArray[np.float32], factor: NDArray[Any]) -> NDArray[
     return np.asarray(picture * threefold)
 
 
-def smoothstep(low: float, high: float, x: Any) -> NDArray[np.float32]:
+def smoothstep(low: float, high: float, x: Any) -> Array32:
     """Return the smoothstep function, 0 at `low` and 1 at `high`; decreasing if `high < low`.
 
     Examples
@@ -120,9 +137,7 @@ def smoothstep(low: float, high: float, x: Any) -> NDArray[np.float32]:
     return np.asarray(t * t * (3 - 2 * t))
 
 
-def jitter(
-    rng: np.random.Generator, color: ArrayLike, spread: float = 0.12
-) -> tuple[float, float, float]:
+def jitter(rng: Generator, color: ArrayLike, spread: float = 0.12) -> Color:
     """Sample a colour near another by random factors on brightness and channels.
 
     Parameters
@@ -140,8 +155,8 @@ def jitter(
 
 
 def smooth_noise(
-    rng: np.random.Generator, shape: tuple[int, int], grain_px: Grain, *, wrap: bool = False
-) -> NDArray[np.float32]:
+    rng: Generator, shape: tuple[int, int], grain_px: Grain, *, wrap: bool = False
+) -> Array32:
     """Generate smooth noise with mean 0 and a standard deviation of about 0.7.
 
     Parameters
@@ -172,9 +187,7 @@ def smooth_noise(
     return np.asarray(noise)
 
 
-def sample(
-    texture: NDArray[np.float32], x_px: NDArray[np.float32], y_px: NDArray[np.float32]
-) -> NDArray[np.float32]:
+def sample(texture: Array32, x_px: Array32, y_px: Array32) -> Array32:
     """Interpolate a periodic texture at subpixel positions.
 
     Parameters
@@ -224,7 +237,7 @@ _LEAST_GAIN = np.array([0.6, 0.25, 0.25])
 _MOST_GAIN = np.array([1.6, 1.3, 1.4])
 
 
-def d435_colors(color: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
+def d435_colors(color: Pixels, rng: Generator) -> Pixels:
     """Return a picture with the colours, noise and blur of a D435 in a greenhouse.
 
     Parameters
@@ -263,5 +276,5 @@ def d435_colors(color: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[n
     if rng.random() < 0.5:
         rgb = cv2.GaussianBlur(rgb, (0, 0), rng.uniform(0.4, 1.2) * max(rgb.shape) / 900)
     noise = rng.normal(0, rng.uniform(0.004, 0.02), rgb.shape)
-    result: NDArray[np.uint8] = np.round(np.clip(rgb + noise, 0, 1) * 255).astype(np.uint8)
+    result: Pixels = np.round(np.clip(rgb + noise, 0, 1) * 255).astype(np.uint8)
     return result

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cucumbervision_lab.arrays import Array, Generator
 from cucumbervision_lab.scenes.bodies import Variety, random_fruit, rotation
 from cucumbervision_lab.scenes.placing import (
     NEAREST_M,
@@ -26,8 +27,6 @@ from cucumbervision_lab.scenes.raycast import Leaf, Stem
 from cucumbervision_lab.scenes.scene import Scene
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from cucumbervision.capture.intrinsics import Intrinsics
     from cucumbervision_lab.scenes.bodies import Tube
 
@@ -122,10 +121,7 @@ HARD = Difficulty(nearer=0.75, farther=1.9, stop=0.16, most=18, covered=0.65, le
 
 
 def compose(
-    rng: np.random.Generator,
-    camera: Intrinsics,
-    setting: Setting | str,
-    difficulty: Difficulty = PLAIN,
+    rng: Generator, camera: Intrinsics, setting: Setting | str, difficulty: Difficulty = PLAIN
 ) -> Composition:
     """Compose a random scene.
 
@@ -170,21 +166,21 @@ def compose(
     return _compose_lying(rng, camera, setting, variety, distance, count)
 
 
-def _count(rng: np.random.Generator, setting: Setting, difficulty: Difficulty) -> int:
+def _count(rng: Generator, setting: Setting, difficulty: Difficulty) -> int:
     if setting is Setting.CRATE:
         return int(rng.integers(4, difficulty.most + 1))
     # 8 % of the pictures show no fruit, as negatives.
     return 0 if rng.random() < 0.08 else int(min(rng.geometric(difficulty.stop), difficulty.most))
 
 
-def _random_of_variety(rng: np.random.Generator, variety: Variety) -> Tube:
+def _random_of_variety(rng: Generator, variety: Variety) -> Tube:
     length_m = float(rng.uniform(*_LENGTHS_M[variety]))
     bend_m = length_m * float(rng.uniform(0.4, 0.9)) if rng.random() < _BOW_SHARE else None
     return random_fruit(rng, length_m, variety, bend_radius_m=bend_m, balls=400)
 
 
 def _compose_hanging(
-    rng: np.random.Generator,
+    rng: Generator,
     camera: Intrinsics,
     variety: Variety,
     distance_m: float,
@@ -235,7 +231,7 @@ def _compose_hanging(
 
 
 def _random_hanging(
-    rng: np.random.Generator, camera: Intrinsics, variety: Variety, distance_m: float
+    rng: Generator, camera: Intrinsics, variety: Variety, distance_m: float
 ) -> Tube:
     z = distance_m * rng.uniform(0.88, 1.2)
     u, v = rng.uniform(0.04, 0.96) * camera.width, rng.uniform(0.06, 0.94) * camera.height
@@ -250,7 +246,7 @@ def _random_hanging(
 
 
 def _behind(
-    rng: np.random.Generator, camera: Intrinsics, fruit: tuple[Tube, ...], distance_m: float
+    rng: Generator, camera: Intrinsics, fruit: tuple[Tube, ...], distance_m: float
 ) -> Scene:
     if fruit:
         return trellis(rng, camera, fruit, behind_m=float(rng.uniform(0.0, 0.25)))
@@ -259,7 +255,7 @@ def _behind(
 
 
 def _loose_leaves(
-    rng: np.random.Generator, camera: Intrinsics, distance_m: float, factor: float, *, close: bool
+    rng: Generator, camera: Intrinsics, distance_m: float, factor: float, *, close: bool
 ) -> tuple[Leaf, ...]:
     leaves = []
     # Without fruit, leaves are near: leaves that fill the picture cause many false positives.
@@ -283,7 +279,7 @@ def _loose_leaves(
     return tuple(leaves)
 
 
-def _strings_before(rng: np.random.Generator, distance_m: float) -> tuple[Stem, ...]:
+def _strings_before(rng: Generator, distance_m: float) -> tuple[Stem, ...]:
     from cucumbervision_lab.scenes.placing import string
 
     count = int(rng.random() < 0.3) + int(rng.random() < 0.1)
@@ -293,7 +289,7 @@ def _strings_before(rng: np.random.Generator, distance_m: float) -> tuple[Stem, 
     )
 
 
-def _crossing(rng: np.random.Generator, fruit: Tube) -> tuple[Stem, ...]:
+def _crossing(rng: Generator, fruit: Tube) -> tuple[Stem, ...]:
     """Return a petiole before a fruit, a stem and a pipe behind it, each or none of them."""
     middle = fruit.centres_m[int(rng.uniform(0.15, 0.85) * len(fruit.centres_m))]
     radius_m = float(fruit.radii_m.max())
@@ -312,7 +308,7 @@ def _crossing(rng: np.random.Generator, fruit: Tube) -> tuple[Stem, ...]:
 
 
 def _end_details(
-    rng: np.random.Generator, fruit: Tube
+    rng: Generator, fruit: Tube
 ) -> tuple[tuple[Leaf, ...], tuple[tuple[Stem, str], ...]]:
     """Return the withered blossom and the stalk of a fruit, which identify its ends."""
     blossom, stem = fruit.poles_m
@@ -337,9 +333,7 @@ def _end_details(
     return tuple(petals), tuple(rods)
 
 
-def _stalk(
-    rng: np.random.Generator, pole: NDArray[np.float64], inner: NDArray[np.float64], radius_m: float
-) -> Stem:
+def _stalk(rng: Generator, pole: Array, inner: Array, radius_m: float) -> Stem:
     out = pole - inner
     out /= np.linalg.norm(out)
     aside = rng.normal(0, 0.5, 3)
@@ -352,7 +346,7 @@ def _stalk(
     return Stem(np.stack(line), radius_m * rng.uniform(0.11, 0.34))
 
 
-def _tilt_view(rng: np.random.Generator, scene: Scene) -> tuple[Scene, tuple[float, float, float]]:
+def _tilt_view(rng: Generator, scene: Scene) -> tuple[Scene, tuple[float, float, float]]:
     """Return the scene and its up vector after a random, mostly level camera rotation."""
     pick = rng.random()
     if pick < 0.68:
@@ -372,12 +366,12 @@ def _tilt_view(rng: np.random.Generator, scene: Scene) -> tuple[Scene, tuple[flo
     return turned, (float(up[0]), float(up[1]), float(up[2]))
 
 
-def _middle(scene: Scene) -> NDArray[np.float64]:
+def _middle(scene: Scene) -> Array:
     z = float(np.mean([f.centres_m[:, 2].mean() for f in scene.fruit])) if scene.fruit else 0.8
     return np.array([0.0, 0.0, z])
 
 
-def _pitch(angle_deg: float) -> NDArray[np.float64]:
+def _pitch(angle_deg: float) -> Array:
     cos, sin = np.cos(np.deg2rad(angle_deg)), np.sin(np.deg2rad(angle_deg))
     return np.array([[1.0, 0.0, 0.0], [0.0, cos, -sin], [0.0, sin, cos]])
 
@@ -400,7 +394,7 @@ def _is_separate(fruit: Tube, neighbours: list[Tube]) -> bool:
 
 
 def _compose_lying(
-    rng: np.random.Generator,
+    rng: Generator,
     camera: Intrinsics,
     setting: Setting,
     variety: Variety,

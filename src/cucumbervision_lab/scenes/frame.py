@@ -10,8 +10,10 @@ import numpy as np
 from cucumbervision.capture.frames import fuse_burst
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.tube.curve import arc_positions, points_along
+from cucumbervision_lab.arrays import Array, Array32, Generator, Pixels
 from cucumbervision_lab.scenes.appearance import random_style
 from cucumbervision_lab.scenes.color_camera import expose, random_exposure
+from cucumbervision_lab.scenes.colors import palette
 from cucumbervision_lab.scenes.compose import HARD, PLAIN, Composition, Setting, compose
 from cucumbervision_lab.scenes.depth_camera import VGA, D4xx, sense
 from cucumbervision_lab.scenes.scene import render, truth_of
@@ -19,8 +21,6 @@ from cucumbervision_lab.scenes.shading import shade
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-
-    from numpy.typing import NDArray
 
     from cucumbervision_lab.scenes.appearance import Assets, Style
     from cucumbervision_lab.scenes.scene import FruitTruth
@@ -32,15 +32,7 @@ _AXIS_POINTS = 41
 # The focal length of a D435's colour camera is 0.71 of its width.
 _FOCAL_SHARE = (0.69, 0.73)
 # Carrot, banana, aubergine, wood, steel, a black hose, a white pipe; sRGB.
-_DECOYS = (
-    (226, 120, 40),
-    (232, 200, 70),
-    (62, 34, 66),
-    (150, 118, 84),
-    (150, 152, 156),
-    (40, 40, 42),
-    (225, 224, 218),
-)
+_DECOYS = palette("e27828 e8c846 3e2242 967654 96989c 28282a e1e0da")
 
 
 @dataclass(frozen=True)
@@ -92,12 +84,12 @@ class Frame:
         Ratio of simulated to exact depth.
     """
 
-    color: NDArray[np.uint8]
+    color: Pixels
     camera: Intrinsics
     staged: Composition
     truth: tuple[FruitTruth, ...]
-    exact_m: NDArray[np.float64]
-    depth_m: NDArray[np.float32] | None
+    exact_m: Array
+    depth_m: Array32 | None
     depth_scale: float
 
 
@@ -141,7 +133,7 @@ def draw_frame(
     exposure = random_exposure(painter, options.width)
     color = expose(linear, exposure, painter)
     scale = 1.0
-    depth: NDArray[np.float32] | None = None
+    depth: Array32 | None = None
     if options.depth:
         scale = 1.0 + float(sensor.normal(0, options.scale_sd))
         size = VGA if sensor.random() < _VGA_SHARE else None
@@ -159,7 +151,7 @@ def draw_frame(
     )
 
 
-def _camera(rng: np.random.Generator, options: FrameOptions) -> Intrinsics:
+def _camera(rng: Generator, options: FrameOptions) -> Intrinsics:
     focal = rng.uniform(*_FOCAL_SHARE) * max(options.width, options.height)
     centre = (
         options.width * (0.5 + rng.normal(0, 0.006)),
@@ -168,7 +160,7 @@ def _camera(rng: np.random.Generator, options: FrameOptions) -> Intrinsics:
     return Intrinsics(options.width, options.height, focal, focal, *centre)
 
 
-def _style(rng: np.random.Generator, staged: Composition, assets: Assets) -> Style:
+def _style(rng: Generator, staged: Composition, assets: Assets) -> Style:
     style = random_style(
         rng,
         staged.scene,
@@ -185,7 +177,7 @@ def _style(rng: np.random.Generator, staged: Composition, assets: Assets) -> Sty
     return replace(style, skins=tuple(skins))
 
 
-def _decoy(rng: np.random.Generator, skin: Skin) -> Skin:
+def _decoy(rng: Generator, skin: Skin) -> Skin:
     """Return the skin of a decoy, an object with the shape of a cucumber."""
     color = np.array(_DECOYS[int(rng.integers(len(_DECOYS)))]) * rng.uniform(0.8, 1.1)
     red, green, blue = np.clip(color + rng.normal(0, 8, 3), 0, 255).tolist()

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
+from cucumbervision_lab.arrays import Array, Array32, Generator
 from cucumbervision_lab.scenes.colors import sample, smooth_noise, smoothstep, to_linear
 
 if TYPE_CHECKING:
@@ -80,13 +81,13 @@ class LightMaps:
         Specular reflection for that normal, glossy and dull.
     """
 
-    front: NDArray[np.float32]
-    back: NDArray[np.float32]
-    sharp: NDArray[np.float32]
-    soft: NDArray[np.float32]
+    front: Array32
+    back: Array32
+    sharp: Array32
+    soft: Array32
 
 
-def random_light(rng: np.random.Generator, assets: Assets, up: Vector = (0.0, -1.0, 0.0)) -> Light:
+def random_light(rng: Generator, assets: Assets, up: Vector = (0.0, -1.0, 0.0)) -> Light:
     """Sample a light: overcast, under glass, sunny, under lamps or inside the canopy.
 
     Parameters
@@ -126,9 +127,7 @@ def random_light(rng: np.random.Generator, assets: Assets, up: Vector = (0.0, -1
     )
 
 
-def sky_map(
-    rng: np.random.Generator, light: Light, assets: Assets
-) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+def sky_map(rng: Generator, light: Light, assets: Assets) -> tuple[Array32, Array]:
     """Return the environment of a light, and its directions.
 
     Parameters
@@ -158,12 +157,12 @@ def sky_map(
     return np.asarray(sky / level, np.float32), _world(light)
 
 
-def _triple(values: NDArray[np.float64]) -> Vector:
+def _triple(values: Array) -> Vector:
     x, y, z = (float(v) for v in values)
     return x, y, z
 
 
-def light_maps(rng: np.random.Generator, light: Light, assets: Assets) -> LightMaps:
+def light_maps(rng: Generator, light: Light, assets: Assets) -> LightMaps:
     """Compute the light maps of a light.
 
     Parameters
@@ -197,7 +196,7 @@ def light_maps(rng: np.random.Generator, light: Light, assets: Assets) -> LightM
     )
 
 
-def _world(light: Light) -> NDArray[np.float64]:
+def _world(light: Light) -> Array:
     # Rows: right, forward and up of the environment, in camera coordinates.
     up = np.asarray(light.up, float)
     aside = np.cross(up, (0.0, 0.0, 1.0) if abs(up[2]) < 0.9 else (1.0, 0.0, 0.0))
@@ -207,7 +206,7 @@ def _world(light: Light) -> NDArray[np.float64]:
     return np.stack([cos * aside + sin * ahead, cos * ahead - sin * aside, up])
 
 
-def _drawn_sky(rng: np.random.Generator, light: Light) -> NDArray[np.float32]:
+def _drawn_sky(rng: Generator, light: Light) -> Array32:
     rows, columns = _SKY_SHAPE
     height = np.sin(np.pi * (0.5 - (np.arange(rows, dtype=np.float32) + 0.5) / rows))[:, None, None]
     zenith, horizon, ground = (to_linear(c) for c in (light.zenith, light.horizon, light.ground))
@@ -225,7 +224,7 @@ def _drawn_sky(rng: np.random.Generator, light: Light) -> NDArray[np.float32]:
     return sky
 
 
-def _basis(d: NDArray[np.float64]) -> NDArray[np.float64]:
+def _basis(d: Array) -> Array:
     x, y, z = d[:, 0], d[:, 1], d[:, 2]
     return np.stack(
         [
@@ -243,7 +242,7 @@ def _basis(d: NDArray[np.float64]) -> NDArray[np.float64]:
     )
 
 
-def harmonics(environment: NDArray[np.float32]) -> NDArray[np.float64]:
+def harmonics(environment: Array32) -> Array:
     """Return the nine spherical harmonic coefficients of an environment.
 
     Parameters
@@ -275,7 +274,7 @@ def harmonics(environment: NDArray[np.float32]) -> NDArray[np.float64]:
     return np.asarray(_basis(direction.reshape(-1, 3)).T @ weighted)
 
 
-def irradiance(nine: NDArray[np.float64], normal: NDArray[np.float64]) -> NDArray[np.float64]:
+def irradiance(nine: Array, normal: Array) -> Array:
     """Return the irradiance for given normals (Ramamoorthi and Hanrahan 2001, equation 6).
 
     Parameters
@@ -293,9 +292,7 @@ def irradiance(nine: NDArray[np.float64], normal: NDArray[np.float64]) -> NDArra
     return np.asarray(_basis(normal) @ (spread[:, None] * nine))
 
 
-def _seen(
-    sky: NDArray[np.float32], towards: NDArray[np.float64], blur_share: float
-) -> NDArray[np.float32]:
+def _seen(sky: Array32, towards: Array, blur_share: float) -> Array32:
     rows, columns = sky.shape[:2]
     sigma = blur_share * columns / 64
     pad = columns // 4
@@ -327,30 +324,26 @@ _TILE = 256
 _AROUND = np.ones((3, 3), np.uint8)
 
 
-def _small(depth_m: NDArray[np.float32]) -> tuple[int, NDArray[np.float32]]:
+def _small(depth_m: Array32) -> tuple[int, Array32]:
     step = max(round(depth_m.shape[1] / _WIDE), 1)
     return step, np.ascontiguousarray(depth_m[::step, ::step])
 
 
-def _points(
-    depth_m: NDArray[np.float32], step: int, camera: Intrinsics
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _points(depth_m: Array32, step: int, camera: Intrinsics) -> tuple[Array32, Array32]:
     rows, columns = depth_m.shape
     x = ((step * np.arange(columns) - camera.cx_px) / camera.fx_px).astype(np.float32)
     y = ((step * np.arange(rows) - camera.cy_px) / camera.fy_px).astype(np.float32)
     return x * depth_m, y[:, None] * depth_m
 
 
-def _grown(small: NDArray[Any], shape: tuple[int, ...], step: int) -> NDArray[np.float32]:
+def _grown(small: NDArray[Any], shape: tuple[int, ...], step: int) -> Array32:
     grown = cv2.resize(
         small, (small.shape[1] * step, small.shape[0] * step), interpolation=cv2.INTER_LINEAR
     )
     return np.asarray(grown[: shape[0], : shape[1]])
 
 
-def sun_shadow(
-    rng: np.random.Generator, depth_m: NDArray[np.float32], camera: Intrinsics, light: Light
-) -> NDArray[np.float32]:
+def sun_shadow(rng: Generator, depth_m: Array32, camera: Intrinsics, light: Light) -> Array32:
     """Compute the share of sunlight at each pixel from the visible depth.
 
     Marches from each point towards the sun in screen space. A step that lies slightly behind the
@@ -395,9 +388,7 @@ def sun_shadow(
     return _grown(cv2.erode(lit, _AROUND), depth_m.shape, step)
 
 
-def dappled_shade(
-    rng: np.random.Generator, depth_m: NDArray[np.float32], camera: Intrinsics, light: Light
-) -> NDArray[np.float32]:
+def dappled_shade(rng: Generator, depth_m: Array32, camera: Intrinsics, light: Light) -> Array32:
     """Compute the share of sunlight that passes leaves outside the picture.
 
     Parameters
@@ -434,7 +425,7 @@ def dappled_shade(
     return 1 - np.float32(light.shade) * (1 - _grown(through, depth_m.shape, step))
 
 
-def ambient_occlusion(depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
+def ambient_occlusion(depth_m: Array32) -> Array32:
     """Compute the ambient occlusion of each pixel from the surrounding depth.
 
     Parameters

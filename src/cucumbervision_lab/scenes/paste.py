@@ -17,13 +17,14 @@ import numpy as np
 from cucumbervision.capture.pictures import read_color
 from cucumbervision.fruit.masks import box_of_mask
 from cucumbervision.networks.yolo_layout import BY_PLACE
+from cucumbervision_lab.arrays import Array, Array32, Generator, Mask, Pixels
 from cucumbervision_lab.data.labels import KEYPOINT_ORDER, Label
 from cucumbervision_lab.scenes.scene import reaches_border
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
     from cucumbervision_lab.data.labels import DataSet, LabelledPicture
 
@@ -50,9 +51,9 @@ class Cutout:
         Whether the keypoints are ordered by position because the stem end is unknown.
     """
 
-    color: NDArray[np.uint8]
-    mask: NDArray[np.bool_]
-    keypoints: NDArray[np.float64] | None
+    color: Pixels
+    mask: Mask
+    keypoints: Array | None
     by_place: bool = False
 
 
@@ -80,7 +81,7 @@ def cutouts_of(dataset: DataSet) -> tuple[Cutout, ...]:
     return tuple(cutouts)
 
 
-def _whole_mask(label: Label, width: int, height: int) -> NDArray[np.bool_] | None:
+def _whole_mask(label: Label, width: int, height: int) -> Mask | None:
     """Return the mask of a complete, convex fruit, or None; a hand would cause concavities."""
     x1, y1, x2, y2 = label.box
     inside = x1 > 1 and y1 > 1 and x2 < width - 2 and y2 < height - 2
@@ -95,7 +96,7 @@ def _whole_mask(label: Label, width: int, height: int) -> NDArray[np.bool_] | No
     return mask if share >= _SOLID else None
 
 
-def _cut(color: NDArray[np.uint8], mask: NDArray[np.bool_], label: Label) -> Cutout:
+def _cut(color: Pixels, mask: Mask, label: Label) -> Cutout:
     x1, y1, x2, y2 = box_of_mask(mask)
     column, top = max(int(x1) - _MARGIN_PX, 0), max(int(y1) - _MARGIN_PX, 0)
     part = np.s_[top : int(y2) + _MARGIN_PX, column : int(x2) + _MARGIN_PX]
@@ -124,24 +125,19 @@ class _Placed:
         See `Cutout`.
     """
 
-    color: NDArray[np.float32]
-    alpha: NDArray[np.float32]
-    keypoints: NDArray[np.float64] | None
+    color: Array32
+    alpha: Array32
+    keypoints: Array | None
     by_place: bool = False
 
     @property
-    def amodal(self) -> NDArray[np.bool_]:
+    def amodal(self) -> Mask:
         """Mask of the fruit without occlusion."""
         return self.alpha > 0.5
 
 
 def _place_cutout(
-    cutout: Cutout,
-    shape: tuple[int, int],
-    rng: np.random.Generator,
-    *,
-    length_px: float,
-    turn_deg: float,
+    cutout: Cutout, shape: tuple[int, int], rng: Generator, *, length_px: float, turn_deg: float
 ) -> _Placed | None:
     """Transform a cutout to a random position with a random brightness.
 
@@ -193,7 +189,7 @@ def _place_cutout(
     )
 
 
-def _occluded(label: Label, hidden: NDArray[np.bool_]) -> Label | None:
+def _occluded(label: Label, hidden: Mask) -> Label | None:
     """Remove newly occluded pixels from a label; return None if nothing is left.
 
     Parameters
@@ -223,9 +219,7 @@ def _occluded(label: Label, hidden: NDArray[np.bool_]) -> Label | None:
     )
 
 
-def _hidden_points(
-    points: NDArray[np.float64] | None, hidden: NDArray[np.bool_]
-) -> NDArray[np.float64] | None:
+def _hidden_points(points: Array | None, hidden: Mask) -> Array | None:
     if points is None:
         return None
     visible_points, (height, width) = points.copy(), hidden.shape
@@ -238,11 +232,7 @@ def _hidden_points(
 
 
 def _label_of(
-    visible: NDArray[np.bool_],
-    amodal: NDArray[np.bool_],
-    points: NDArray[np.float64] | None,
-    *,
-    by_place: bool = False,
+    visible: Mask, amodal: Mask, points: Array | None, *, by_place: bool = False
 ) -> Label:
     """Create the pseudo-label of a pasted fruit.
 
@@ -289,11 +279,8 @@ def fruitless(picture: LabelledPicture) -> bool:
 
 
 def montage(
-    ground: NDArray[np.uint8],
-    size: tuple[int, int],
-    cutouts: Sequence[Cutout],
-    rng: np.random.Generator,
-) -> tuple[NDArray[np.uint8], tuple[Label, ...]]:
+    ground: Pixels, size: tuple[int, int], cutouts: Sequence[Cutout], rng: Generator
+) -> tuple[Pixels, tuple[Label, ...]]:
     """Paste fruit into a random crop of a photo.
 
     Parameters
@@ -356,9 +343,7 @@ def montage(
     return np.clip(picture, 0, 255).astype(np.uint8), tuple(labels)
 
 
-def _part_of(
-    ground: NDArray[np.uint8], size: tuple[int, int], rng: np.random.Generator
-) -> NDArray[np.uint8]:
+def _part_of(ground: Pixels, size: tuple[int, int], rng: Generator) -> Pixels:
     """Return a random crop of a photo with the aspect ratio of `size`, resized to it."""
     width, height = size
     h, w = ground.shape[:2]
@@ -373,7 +358,7 @@ def _part_of(
     return np.asarray(cv2.resize(np.ascontiguousarray(part), size, interpolation=way), np.uint8)
 
 
-def _around(amodal: NDArray[np.bool_]) -> tuple[slice, slice]:
+def _around(amodal: Mask) -> tuple[slice, slice]:
     """Return the row and column slices of a fruit and its shadow."""
     ys, xs = np.nonzero(amodal.any(axis=1))[0], np.nonzero(amodal.any(axis=0))[0]
     margin = int(0.6 * np.sqrt(np.count_nonzero(amodal))) + 8
@@ -389,9 +374,7 @@ def _upright(cutout: Cutout) -> float:
     return 90.0 - float(np.degrees(np.arctan2(y, x)))
 
 
-def _behind(
-    light: NDArray[np.float32], fruit: _Placed, rng: np.random.Generator
-) -> NDArray[np.float32]:
+def _behind(light: Array32, fruit: _Placed, rng: Generator) -> Array32:
     """Return the occlusion of each pixel by the brighter foreground, 0 to 1."""
     none = np.zeros_like(light)
     if rng.random() > _HIDDEN:
@@ -406,13 +389,11 @@ def _behind(
     return _softened(cv2.morphologyEx(opened, cv2.MORPH_CLOSE, kernel), 0.8)
 
 
-def _softened(mask: ArrayLike, sigma_px: float) -> NDArray[np.float32]:
+def _softened(mask: ArrayLike, sigma_px: float) -> Array32:
     return np.asarray(cv2.GaussianBlur(np.asarray(mask, np.float32), (0, 0), sigma_px), np.float32)
 
 
-def _leaf_over(
-    picture: NDArray[np.float32], fruit: _Placed, rng: np.random.Generator
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _leaf_over(picture: Array32, fruit: _Placed, rng: Generator) -> tuple[Array32, Array32]:
     """Return a shifted copy of the photo, and the mask of a leaf over part of a fruit."""
     height, width = picture.shape[:2]
     ys, xs = np.nonzero(fruit.amodal)
@@ -433,9 +414,7 @@ def _leaf_over(
     return piece.astype(np.float32), _softened(cover, 0.8)
 
 
-def _string_over(
-    picture: NDArray[np.float32], fruit: _Placed, rng: np.random.Generator
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _string_over(picture: Array32, fruit: _Placed, rng: Generator) -> tuple[Array32, Array32]:
     """Return the colour of a string or thin stem across a fruit, and its mask."""
     height, width = picture.shape[:2]
     ys, xs = np.nonzero(fruit.amodal)
@@ -451,12 +430,7 @@ def _string_over(
     return color, _softened(cover, 0.6)
 
 
-def _blend(
-    picture: NDArray[np.float32],
-    fruit: _Placed,
-    hidden: NDArray[np.float32],
-    rng: np.random.Generator,
-) -> NDArray[np.float32]:
+def _blend(picture: Array32, fruit: _Placed, hidden: Array32, rng: Generator) -> Array32:
     """Blend a fruit into the picture with local brightness and a shadow."""
     amodal = fruit.amodal
     surround = cv2.dilate(amodal.astype(np.uint8), np.ones((9, 9), np.uint8)).astype(bool)

@@ -7,14 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cucumbervision_lab.arrays import Array, Generator
 from cucumbervision_lab.scenes.bodies import rotation
 from cucumbervision_lab.scenes.raycast import Leaf, Plane, Stem, cast_leaf, cast_tube, scaled_camera
 from cucumbervision_lab.scenes.scene import Scene
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-
-    from numpy.typing import NDArray
 
     from cucumbervision.capture.intrinsics import Intrinsics
     from cucumbervision_lab.scenes.bodies import Tube
@@ -59,7 +58,7 @@ def place_hanging(
 
 
 def foliage(
-    rng: np.random.Generator,
+    rng: Generator,
     camera: Intrinsics,
     distance_m: float,
     depth_m: float = 0.35,
@@ -105,7 +104,7 @@ def foliage(
 
 
 def _leaf(
-    rng: np.random.Generator, centre_m: tuple[float, float, float], length_m: float, width_m: float
+    rng: Generator, centre_m: tuple[float, float, float], length_m: float, width_m: float
 ) -> Leaf:
     # Blades face the light, that is up and towards the camera.
     turn = rotation(rng.uniform(0, 360), rng.normal(0, 25), rng.normal(0, 25))
@@ -121,7 +120,7 @@ def _leaf(
     )
 
 
-def string(rng: np.random.Generator, x_m: float, z_m: float, radius_m: float = 0.0015) -> Stem:
+def string(rng: Generator, x_m: float, z_m: float, radius_m: float = 0.0015) -> Stem:
     """Generate a string or stem that crosses the view vertically.
 
     Parameters
@@ -140,7 +139,7 @@ def string(rng: np.random.Generator, x_m: float, z_m: float, radius_m: float = 0
 
 
 def trellis(
-    rng: np.random.Generator, camera: Intrinsics, fruit: tuple[Tube, ...], behind_m: float = 0.15
+    rng: Generator, camera: Intrinsics, fruit: tuple[Tube, ...], behind_m: float = 0.15
 ) -> Scene:
     """Add leaves, strings, stems and a distant wall behind hanging fruit.
 
@@ -179,7 +178,7 @@ def occlude(
     camera: Intrinsics,
     index: int,
     hidden_share: float,
-    rng: np.random.Generator,
+    rng: Generator,
     *,
     ends_free: bool = True,
 ) -> Scene:
@@ -303,11 +302,11 @@ class Ground:
         Rows: two unit vectors in the surface, and its normal towards the camera.
     """
 
-    point_m: NDArray[np.float64]
-    frame: NDArray[np.float64]
+    point_m: Array
+    frame: Array
 
     @classmethod
-    def seen(cls, rng: np.random.Generator, distance_m: float) -> Ground:
+    def seen(cls, rng: Generator, distance_m: float) -> Ground:
         """Sample a surface viewed from 0 to 55 degrees off the vertical, at any heading.
 
         Examples
@@ -336,7 +335,7 @@ class Ground:
         """The surface as a plane."""
         return Plane(self.point_m, self.frame[2])
 
-    def at(self, x_m: float, y_m: float, height_m: float) -> NDArray[np.float64]:
+    def at(self, x_m: float, y_m: float, height_m: float) -> Array:
         """Return a point from surface coordinates and height, metres."""
         return np.asarray(self.point_m + np.array([x_m, y_m, height_m]) @ self.frame)
 
@@ -350,7 +349,7 @@ class Ground:
 
 
 def place_lying(
-    rng: np.random.Generator,
+    rng: Generator,
     camera: Intrinsics,
     ground: Ground,
     bodies: Sequence[Tube],
@@ -386,7 +385,7 @@ def place_lying(
     """
     placed: list[Tube] = []
     placed_bodies: list[int] = []
-    lain: list[tuple[NDArray[np.float64], NDArray[np.float64]]] = []
+    lain: list[tuple[Array, Array]] = []
     for index, body in enumerate(bodies):
         best = None
         for _ in range(_TRIES if inner_m is None else _TRIES // 3):
@@ -409,12 +408,12 @@ def place_lying(
 
 
 def _spot(
-    rng: np.random.Generator,
+    rng: Generator,
     camera: Intrinsics,
     ground: Ground,
     body: Tube,
     inner_m: tuple[float, float] | None,
-) -> tuple[tuple[float, float], NDArray[np.float64]]:
+) -> tuple[tuple[float, float], Array]:
     """Sample a position and a rotation to ground coordinates."""
     if inner_m is None:
         yaw = rng.uniform(0, 2 * np.pi)
@@ -431,11 +430,7 @@ def _spot(
     return spot, turn
 
 
-def _rest(
-    flat_m: NDArray[np.float64],
-    radii_m: NDArray[np.float64],
-    lain: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]],
-) -> float:
+def _rest(flat_m: Array, radii_m: Array, lain: Sequence[tuple[Array, Array]]) -> float:
     """Return the height at which a lowered body touches the ground or another body."""
     height = float((radii_m - flat_m[:, 2]).max())
     for centres, radii in lain:
@@ -447,9 +442,7 @@ def _rest(
     return height
 
 
-def crate_rods(
-    rng: np.random.Generator, ground: Ground, inner_m: tuple[float, float]
-) -> tuple[Stem, ...]:
+def crate_rods(rng: Generator, ground: Ground, inner_m: tuple[float, float]) -> tuple[Stem, ...]:
     """Create a crate of bars around the centre of the ground.
 
     Parameters

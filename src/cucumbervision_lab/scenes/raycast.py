@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cucumbervision_lab.arrays import Array, Mask
+
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
@@ -38,15 +40,15 @@ class Hit:
     """
 
     window: Window
-    depth_m: NDArray[np.float64]
+    depth_m: Array
     part: NDArray[np.int32]
 
     @property
-    def mask(self) -> NDArray[np.bool_]:
+    def mask(self) -> Mask:
         """Pixels of the window that see the body, shape (h, w)."""
         return np.isfinite(self.depth_m)
 
-    def add(self, window: Window, depth_m: NDArray[np.float64], part: int) -> None:
+    def add(self, window: Window, depth_m: Array, part: int) -> None:
         """Merge a further part, keeping the nearer intersection of each pixel."""
         rows, columns = self.window
         overlap = np.s_[
@@ -70,10 +72,10 @@ class RayGrid:
         Least and largest x of each column, y of each row.
     """
 
-    x: NDArray[np.float64]
-    y: NDArray[np.float64]
-    columns: tuple[NDArray[np.float64], NDArray[np.float64]]
-    rows: tuple[NDArray[np.float64], NDArray[np.float64]]
+    x: Array
+    y: Array
+    columns: tuple[Array, Array]
+    rows: tuple[Array, Array]
 
     def window(self, lower: ArrayLike, upper: ArrayLike) -> Window | None:
         """Return the window of pixels whose rays can lie between two corners (x, y), or None."""
@@ -130,9 +132,7 @@ def scaled_camera(camera: Intrinsics, factor: float) -> Intrinsics:
     )
 
 
-def _ball_bounds(
-    centre_m: NDArray[np.float64], radius_m: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _ball_bounds(centre_m: Array, radius_m: float) -> tuple[Array, Array]:
     """Return the bounding rectangle of a projected sphere, in ray coordinates.
 
     Parameters
@@ -233,24 +233,18 @@ def _empty_hit(windows: Sequence[Window | None]) -> Hit | None:
     return Hit((rows, columns), np.full(shape, np.inf), np.zeros(shape, np.int32))
 
 
-def _ball(
-    x: NDArray[np.float64], y: NDArray[np.float64], centre_m: NDArray[np.float64], radius_m: float
-) -> NDArray[np.float64]:
+def _ball(x: Array, y: Array, centre_m: Array, radius_m: float) -> Array:
     cx, cy, cz = centre_m.tolist()
     a = x * x + y * y + 1
     b = x * cx + y * cy + cz
     disc = b * b - a * (cx * cx + cy * cy + cz * cz - radius_m * radius_m)
-    z: NDArray[np.float64] = (b - np.sqrt(np.maximum(disc, 0))) / a
+    z: Array = (b - np.sqrt(np.maximum(disc, 0))) / a
     z[disc <= 0] = np.inf
     return z
 
 
 def _refine(
-    tube: Tube,
-    step: int,
-    rays: tuple[NDArray[np.float64], NDArray[np.float64]],
-    depth: NDArray[np.float64],
-    part: NDArray[np.int32],
+    tube: Tube, step: int, rays: tuple[Array, Array], depth: Array, part: NDArray[np.int32]
 ) -> None:
     finite = np.isfinite(depth)
     x, y, k = rays[0][finite], rays[1][finite], part[finite]
@@ -259,7 +253,7 @@ def _refine(
     constant = (centres * centres).sum(axis=1) - radii * radii
     cx, cy, cz = np.ascontiguousarray(centres.T)
 
-    def score(k: NDArray[np.int32]) -> NDArray[np.float64]:
+    def score(k: NDArray[np.int32]) -> Array:
         b = x * cx[k] + y * cy[k] + cz[k]
         disc = b * b - a * constant[k]
         # A miss scores worse than any hit, increasing with its distance.
@@ -326,13 +320,7 @@ def cast_stem(stem: Stem, camera: Intrinsics) -> Hit | None:
     return hit
 
 
-def _cylinder(
-    x: NDArray[np.float64],
-    y: NDArray[np.float64],
-    start_m: NDArray[np.float64],
-    end_m: NDArray[np.float64],
-    radius_m: float,
-) -> NDArray[np.float64]:
+def _cylinder(x: Array, y: Array, start_m: Array, end_m: Array, radius_m: float) -> Array:
     axis = end_m - start_m
     length = float(np.linalg.norm(axis))
     ax, ay, az = (axis / length).tolist()
@@ -361,10 +349,10 @@ class Stem:
         Metres.
     """
 
-    vertices_m: NDArray[np.float64]
+    vertices_m: Array
     radius_m: float
 
-    def moved(self, turn: NDArray[np.float64], by_m: ArrayLike) -> Stem:
+    def moved(self, turn: Array, by_m: ArrayLike) -> Stem:
         """Return the stem rotated about the origin by a 3x3 matrix, then translated by metres."""
         return Stem(self.vertices_m @ turn.T + np.asarray(by_m, dtype=float), self.radius_m)
 
@@ -381,8 +369,8 @@ class Plane:
         A normal vector of any length.
     """
 
-    point_m: NDArray[np.float64]
-    normal: NDArray[np.float64]
+    point_m: Array
+    normal: Array
 
     @classmethod
     def facing(cls, distance_m: float, tilt_deg: float = 0.0, turn_deg: float = 0.0) -> Plane:
@@ -404,19 +392,19 @@ class Plane:
         up, right = np.tan(np.deg2rad([tilt_deg, turn_deg]))
         return cls(np.array([0.0, 0.0, distance_m]), np.array([right, -up, -1.0]) + 0.0)
 
-    def unit_normal(self) -> NDArray[np.float64]:
+    def unit_normal(self) -> Array:
         """Return the unit normal towards the camera, shape (3,)."""
         normal = self.normal / np.linalg.norm(self.normal)
         return np.asarray(normal * -np.sign(normal @ self.point_m))
 
-    def tile_axes(self) -> NDArray[np.float64]:
+    def tile_axes(self) -> Array:
         """Return two unit vectors in the plane, along which its material is tiled, shape (2, 3)."""
         normal = self.unit_normal()
         aside = np.cross(normal, (0.0, 1.0, 0.15) if abs(normal[1]) < 0.9 else (1.0, 0.1, 0.0))
         aside /= np.linalg.norm(aside)
         return np.stack([aside, np.cross(normal, aside)])
 
-    def moved(self, turn: NDArray[np.float64], by_m: ArrayLike) -> Plane:
+    def moved(self, turn: Array, by_m: ArrayLike) -> Plane:
         """Return the plane rotated about the origin by a 3x3 matrix, then translated by metres."""
         return Plane(turn @ self.point_m + np.asarray(by_m, dtype=float), turn @ self.normal)
 
@@ -440,7 +428,7 @@ def cast_plane(plane: Plane, camera: Intrinsics) -> Hit:
     nx, ny, nz = plane.normal.tolist()
     slant = nx * grid.x + ny * grid.y + nz
     with np.errstate(divide="ignore"):
-        depth: NDArray[np.float64] = float(plane.normal @ plane.point_m) / slant
+        depth: Array = float(plane.normal @ plane.point_m) / slant
     depth[~(depth > 0)] = np.inf
     window = slice(0, camera.height), slice(0, camera.width)
     return Hit(window, depth, np.zeros(depth.shape, np.int32))
@@ -473,15 +461,15 @@ class Leaf:
         stalk.
     """
 
-    centre_m: NDArray[np.float64]
-    frame: NDArray[np.float64]
+    centre_m: Array
+    frame: Array
     half_length_m: float
     half_width_m: float
     bend_per_m: tuple[float, float] = (0.0, 0.0)
     lobe: float = 0.0
     teeth: float = 0.0
 
-    def moved(self, turn: NDArray[np.float64], by_m: ArrayLike) -> Leaf:
+    def moved(self, turn: Array, by_m: ArrayLike) -> Leaf:
         """Return the leaf rotated about the origin by a 3x3 matrix, then translated by metres."""
         centre = self.centre_m @ turn.T + np.asarray(by_m, dtype=float)
         return replace(self, centre_m=centre, frame=self.frame @ turn.T)
@@ -539,7 +527,7 @@ def cast_leaf(leaf: Leaf, camera: Intrinsics) -> Hit | None:
     return Hit(window, depth, np.zeros(x.shape, np.int32))
 
 
-def _bounds(leaf: Leaf) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _bounds(leaf: Leaf) -> tuple[Array, Array]:
     # The projection of the bounding box contains the projection of the blade.
     s, t = ((1 + leaf.lobe + leaf.teeth) * half for half in (leaf.half_length_m, leaf.half_width_m))
     rise = [k * half**2 / 2 for k, half in zip(leaf.bend_per_m, (s, t), strict=True)]
@@ -552,7 +540,7 @@ def _bounds(leaf: Leaf) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return rays.min(axis=0), rays.max(axis=0)
 
 
-def _in_outline(leaf: Leaf, s: NDArray[np.float64], t: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _in_outline(leaf: Leaf, s: Array, t: Array) -> Mask:
     p, q = s / leaf.half_length_m, t / leaf.half_width_m
     square = p * p + q * q
     if leaf.lobe == leaf.teeth == 0:
@@ -566,7 +554,7 @@ def _in_outline(leaf: Leaf, s: NDArray[np.float64], t: NDArray[np.float64]) -> N
     return inside
 
 
-def leaf_rim(angle: NDArray[np.float64], lobe: float, teeth: float) -> NDArray[np.float64]:
+def leaf_rim(angle: Array, lobe: float, teeth: float) -> Array:
     """Return the distance of a leaf's edge from its centre, in half axes.
 
     Parameters

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.tube.curve import points_along
+from cucumbervision_lab.arrays import Array, Array32, Mask, Pixels
 from cucumbervision_lab.scenes.raycast import (
     Leaf,
     Plane,
@@ -68,7 +69,7 @@ class Scene:
         """Create a scene of fruit, optionally in front of a plane that faces the camera."""
         return cls(fruit, planes=() if backdrop_m is None else (Plane.facing(backdrop_m),))
 
-    def moved(self, turn: NDArray[np.float64], by_m: ArrayLike) -> Scene:
+    def moved(self, turn: Array, by_m: ArrayLike) -> Scene:
         """Return the scene rotated about the origin by a 3x3 matrix, then translated by metres."""
         return Scene(
             tuple(body.moved(turn, by_m) for body in self.fruit),
@@ -98,14 +99,14 @@ class View:
         Mask of each fruit without occlusion, inside the picture.
     """
 
-    depth_m: NDArray[np.float64]
-    share: NDArray[np.float32]
-    normal: NDArray[np.float32]
-    kind: NDArray[np.uint8]
+    depth_m: Array
+    share: Array32
+    normal: Array32
+    kind: Pixels
     body: NDArray[np.int32]
-    amodal: tuple[NDArray[np.bool_], ...]
+    amodal: tuple[Mask, ...]
 
-    def mask(self, index: int) -> NDArray[np.bool_]:
+    def mask(self, index: int) -> Mask:
         """Return the visible pixels of one fruit, shape (H, W)."""
         return np.asarray((self.kind == Kind.FRUIT) & (self.body == index))
 
@@ -138,13 +139,13 @@ class FruitTruth:
     centreline_m: float
     thread_m: float
     chord_m: float
-    axis_m: NDArray[np.float64]
-    radius_m: NDArray[np.float64]
-    visible: NDArray[np.bool_]
-    amodal: NDArray[np.bool_]
+    axis_m: Array
+    radius_m: Array
+    visible: Mask
+    amodal: Mask
     hidden_share: float
     cut_off: bool
-    keypoints_px: NDArray[np.float64]
+    keypoints_px: Array
     keypoint_visibility: NDArray[np.int8]
 
 
@@ -246,7 +247,7 @@ def truth_of(scene: Scene, camera: Intrinsics, view: View | None = None) -> tupl
     return tuple(_truth(tube, k, camera, rendered) for k, tube in enumerate(scene.fruit))
 
 
-def reaches_border(mask: NDArray[np.bool_]) -> bool:
+def reaches_border(mask: Mask) -> bool:
     """Return whether a mask of shape (H, W) touches the picture's border.
 
     Examples
@@ -285,12 +286,7 @@ _GROWN_SHARE = 0.2
 
 
 def _visibility(
-    points_m: NDArray[np.float64],
-    pixels: NDArray[np.float64],
-    tube: Tube,
-    visible: NDArray[np.bool_],
-    depth_m: NDArray[np.float64],
-    camera: Intrinsics,
+    points_m: Array, pixels: Array, tube: Tube, visible: Mask, depth_m: Array, camera: Intrinsics
 ) -> NDArray[np.int8]:
     height, width = visible.shape
     thick_m = float(tube.radii_m.max())

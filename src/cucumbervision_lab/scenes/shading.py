@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
+from cucumbervision_lab.arrays import Array32, Generator, Mask
 from cucumbervision_lab.scenes.appearance import FAR, Style
 from cucumbervision_lab.scenes.colors import mix, sample, scale_colors, smooth_noise, to_linear
 from cucumbervision_lab.scenes.lighting import (
@@ -38,7 +39,6 @@ if TYPE_CHECKING:
     from cucumbervision_lab.scenes.lighting import Light
     from cucumbervision_lab.scenes.scene import Scene, View
 
-    Array = NDArray[np.float32]
 
 _FAR_M = 8.0
 _PHOTOS = 3
@@ -49,11 +49,11 @@ _SEEN_THROUGH = np.array([1.15, 1.3, 0.55], np.float32)  # leaves transmit yello
 class _Layers:
     # What the light needs, flat: colour, normal, gloss, share of light that passes through,
     # and where the colour shines by itself (a far view).
-    albedo: Array
-    normal: Array
-    gloss: Array
-    through: Array
-    far: NDArray[np.bool_]
+    albedo: Array32
+    normal: Array32
+    gloss: Array32
+    through: Array32
+    far: Mask
 
     @classmethod
     def empty(cls, count: int) -> _Layers:
@@ -70,18 +70,13 @@ class _Job:
     camera: Intrinsics
     style: Style
     assets: Assets
-    rng: np.random.Generator
+    rng: Generator
     layers: _Layers
 
 
 def shade(
-    scene: Scene,
-    view: View,
-    camera: Intrinsics,
-    style: Style,
-    assets: Assets,
-    rng: np.random.Generator,
-) -> NDArray[np.float32]:
+    scene: Scene, view: View, camera: Intrinsics, style: Style, assets: Assets, rng: Generator
+) -> Array32:
     """Compute the radiance of each pixel.
 
     Parameters
@@ -127,11 +122,11 @@ def shade(
     grid = ray_grid(camera)
     depth = view.depth_m.astype(np.float32)
     x, y = (g.astype(np.float32) for g in (grid.x, grid.y))
-    points: Array = np.stack([x * depth, y * depth, depth], axis=-1).reshape(-1, 3)
+    points: Array32 = np.stack([x * depth, y * depth, depth], axis=-1).reshape(-1, 3)
     job = _Job(scene, view, camera, style, assets, rng, _Layers.empty(view.kind.size))
     background = far_view(rng, style.far, camera.width, camera.height, assets).reshape(-1, 3)
     photos = [leaf_photo_texture(rng, assets) if style.leaf_photo else () for _ in range(_PHOTOS)]
-    tiles: dict[str, Array] = {}
+    tiles: dict[str, Array32] = {}
     for kind, index, pixels in _bodies(view):
         points_here = points[pixels]
         if kind == Kind.FRUIT:
@@ -180,7 +175,7 @@ def _bodies(view: View) -> list[tuple[int, int, NDArray[np.intp]]]:
     return bodies
 
 
-def _fruit(job: _Job, pixels: NDArray[np.intp], index: int, points: Array) -> None:
+def _fruit(job: _Job, pixels: NDArray[np.intp], index: int, points: Array32) -> None:
     tube, view, layers = job.scene.fruit[index], job.view, job.layers
     share, normal = view.share.ravel()[pixels], view.normal.reshape(-1, 3)[pixels]
     balls = len(tube.radii_m)
@@ -214,13 +209,13 @@ def _fruit(job: _Job, pixels: NDArray[np.intp], index: int, points: Array) -> No
     layers.gloss[pixels] = relief[:, 2]
 
 
-def _unit(vectors: Array, sign: Array | float = 1.0) -> Array:
+def _unit(vectors: Array32, sign: Array32 | float = 1.0) -> Array32:
     length = np.sqrt(np.einsum("ij,ij->i", vectors, vectors)) + np.float32(1e-9)
     return scale_colors(vectors, (np.float32(1) / length * sign).astype(np.float32))
 
 
 def _leaf(
-    job: _Job, pixels: NDArray[np.intp], index: int, points: Array, photo: tuple[Array, ...]
+    job: _Job, pixels: NDArray[np.intp], index: int, points: Array32, photo: tuple[Array32, ...]
 ) -> None:
     rng, style, layers, leaf = job.rng, job.style, job.layers, job.scene.leaves[index]
     frame = leaf.frame.astype(np.float32)
@@ -252,7 +247,7 @@ def _leaf(
     layers.through[pixels] = np.float32(0.55)
 
 
-def _stem(job: _Job, pixels: NDArray[np.intp], index: int, points: Array) -> None:
+def _stem(job: _Job, pixels: NDArray[np.intp], index: int, points: Array32) -> None:
     rng, style, layers = job.rng, job.style, job.layers
     line = job.scene.stems[index].vertices_m.astype(np.float32)
     first, step = line[:-1], np.diff(line, axis=0)
@@ -284,7 +279,7 @@ def _stem(job: _Job, pixels: NDArray[np.intp], index: int, points: Array) -> Non
     layers.through[pixels] = np.float32(0.1 if role in ("stem", "stalk") else 0.0)
 
 
-def _plane(job: _Job, pixels: NDArray[np.intp], index: int, points: Array, tile: Array) -> None:
+def _plane(job: _Job, pixels: NDArray[np.intp], index: int, points: Array32, tile: Array32) -> None:
     plane, layers = job.scene.planes[index], job.layers
     normal, frame = plane.unit_normal(), plane.tile_axes().astype(np.float32)
     place = (points - plane.point_m.astype(np.float32)) @ frame.T
@@ -297,7 +292,7 @@ def _plane(job: _Job, pixels: NDArray[np.intp], index: int, points: Array, tile:
     )
 
 
-def _lit(job: _Job) -> NDArray[np.float32]:
+def _lit(job: _Job) -> Array32:
     view, camera, style, layers = job.view, job.camera, job.style, job.layers
     shape = view.kind.shape
     grid = ray_grid(camera)
@@ -309,7 +304,7 @@ def _lit(job: _Job) -> NDArray[np.float32]:
     gloss, through = layers.gloss.reshape(shape), layers.through.reshape(shape)
     size = maps.front.shape[0]
 
-    def found(picture: Array, x: Array, y: Array) -> Array:
+    def found(picture: Array32, x: Array32, y: Array32) -> Array32:
         return np.asarray(cv2.remap(picture, x, y, cv2.INTER_LINEAR))
 
     half = np.float32(size / 2)
@@ -340,13 +335,13 @@ def _lit(job: _Job) -> NDArray[np.float32]:
 
 
 def _sunlit(
-    rng: np.random.Generator,
-    layers: tuple[Array, Array, Array, Array],
-    depth_m: Array,
-    gloom: Array,
+    rng: Generator,
+    layers: tuple[Array32, Array32, Array32, Array32],
+    depth_m: Array32,
+    gloom: Array32,
     camera: Intrinsics,
     light: Light,
-) -> Array:
+) -> Array32:
     albedo, normal, gloss, through = layers
     lit = sun_shadow(rng, depth_m, camera, light) * np.sqrt(gloom)
     if light.shade > 0:

@@ -8,9 +8,12 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
+from cucumbervision_lab.arrays import Array32, Generator, Pixels
 from cucumbervision_lab.scenes.colors import (
+    Color,
     jitter,
     mix,
+    palette,
     scale_colors,
     smooth_noise,
     smoothstep,
@@ -22,7 +25,6 @@ if TYPE_CHECKING:
 
     from cucumbervision_lab.scenes.appearance import Assets
 
-    Color = tuple[float, float, float]
 
 _ROWS, _COLUMNS = (24, 1100), (24, 560)
 _TILE_M = 0.05  # what a close-up of skin shows from side to side
@@ -95,9 +97,9 @@ class SkinMaps:
         Height of warts and ridges, metres.
     """
 
-    albedo: NDArray[np.float32]
-    relief: NDArray[np.float32]
-    height_m: NDArray[np.float32]
+    albedo: Array32
+    relief: Array32
+    height_m: Array32
 
 
 @dataclass(frozen=True)
@@ -112,72 +114,52 @@ class _Look:
     tip_reach: tuple[float, float]
 
 
-_DARK = ((28.0, 66.0, 30.0), (36.0, 78.0, 34.0), (48.0, 92.0, 40.0), (30.0, 72.0, 48.0))
-_FRESH = ((62.0, 114.0, 36.0), (78.0, 130.0, 40.0), (52.0, 102.0, 36.0))
-_BRIGHT = ((96.0, 150.0, 46.0), (114.0, 158.0, 52.0), (84.0, 144.0, 36.0))
-_PALE = ((128.0, 160.0, 86.0), (150.0, 176.0, 108.0), (176.0, 192.0, 130.0), (190.0, 204.0, 160.0))
-_YELLOW = ((150.0, 164.0, 70.0), (172.0, 176.0, 88.0), (128.0, 152.0, 64.0))
+_DARK = palette("1c421e 244e22 305c28 1e4830")
+_FRESH = palette("3e7224 4e8228 346624")
+_BRIGHT = palette("60962e 729e34 549024")
+_PALE = palette("80a056 96b06c b0c082 becca0")
+_YELLOW = palette("96a446 acb058 809840")
 
 LOOKS: dict[str, _Look] = {
     # smooth, dark, long: under glass
     "long": _Look(
         _DARK + _FRESH + _BRIGHT[:2],
         (_FRESH[1], _YELLOW[2], _FRESH[0]),
-        (0.0, 0.35),
-        (0.0, 0.3),
-        (0.0001, 0.0004),
-        (0.0001, 0.0011),
-        (0.35, 0.9),
-        (0.04, 0.35),
+        *((0.0, 0.35), (0.0, 0.3), (0.0001, 0.0004)),
+        *((0.0001, 0.0011), (0.35, 0.9), (0.04, 0.35)),
     ),
     # spiny, warty: slicers
     "slicing": _Look(
         _DARK + _FRESH[:2] + _BRIGHT[2:],
         (_YELLOW[2], _PALE[0], _FRESH[1]),
-        (0.1, 0.55),
-        (0.6, 3.0),
-        (0.0004, 0.0011),
-        (0.0001, 0.0006),
-        (0.35, 0.8),
-        (0.15, 0.6),
+        *((0.1, 0.55), (0.6, 3.0), (0.0004, 0.0011)),
+        *((0.0001, 0.0006), (0.35, 0.8), (0.15, 0.6)),
     ),
     # pale, striped: Asian and white-green
     "pale": _Look(
         _PALE[:3] + _FRESH[1:2],
         (_PALE[2], _YELLOW[1], _PALE[3]),
-        (0.2, 0.8),
-        (0.0, 1.5),
-        (0.0002, 0.0008),
-        (0.0, 0.0009),
-        (0.15, 0.6),
-        (0.2, 0.8),
+        *((0.2, 0.8), (0.0, 1.5), (0.0002, 0.0008)),
+        *((0.0, 0.0009), (0.15, 0.6), (0.2, 0.8)),
     ),
     # small and smooth: snacks
     "mini": _Look(
         _FRESH + _DARK[1:3] + _BRIGHT,
         (_YELLOW[2], _FRESH[1], _PALE[0]),
-        (0.0, 0.4),
-        (0.0, 0.2),
-        (0.0001, 0.0003),
-        (0.0002, 0.0008),
-        (0.5, 1.0),
-        (0.05, 0.4),
+        *((0.0, 0.4), (0.0, 0.2), (0.0001, 0.0003)),
+        *((0.0002, 0.0008), (0.5, 1.0), (0.05, 0.4)),
     ),
     # stout and bumpy, light towards the blossom: gherkins
     "pickling": _Look(
         _FRESH + _DARK[2:3] + _BRIGHT[1:],
         (_PALE[1], _PALE[0], _YELLOW[1]),
-        (0.25, 0.9),
-        (1.0, 4.0),
-        (0.0005, 0.0013),
-        (0.0, 0.0005),
-        (0.2, 0.6),
-        (0.3, 0.8),
+        *((0.25, 0.9), (1.0, 4.0), (0.0005, 0.0013)),
+        *((0.0, 0.0005), (0.2, 0.6), (0.3, 0.8)),
     ),
 }
 
 
-def random_skin(rng: np.random.Generator, variety: str, assets: Assets) -> Skin:
+def random_skin(rng: Generator, variety: str, assets: Assets) -> Skin:
     """Sample the skin of a fruit.
 
     Parameters
@@ -234,12 +216,7 @@ def random_skin(rng: np.random.Generator, variety: str, assets: Assets) -> Skin:
 
 
 def skin_maps(
-    rng: np.random.Generator,
-    skin: Skin,
-    length_m: float,
-    radius_m: float,
-    texel_m: float,
-    assets: Assets,
+    rng: Generator, skin: Skin, length_m: float, radius_m: float, texel_m: float, assets: Assets
 ) -> SkinMaps:
     """Generate the texture maps of a skin.
 
@@ -267,7 +244,7 @@ def skin_maps(
     along = ((np.arange(rows, dtype=np.float32) + 0.5) / rows)[:, None]
     around = (2 * np.pi * (np.arange(columns, dtype=np.float32) + 0.5) / columns)[None, :]
 
-    def noise(grain_m: float, stretch: float = 1.0) -> NDArray[np.float32]:
+    def noise(grain_m: float, stretch: float = 1.0) -> Array32:
         grain = (stretch * grain_m / row_m, grain_m / column_m)
         return smooth_noise(rng, (rows, columns), grain, wrap=True)
 
@@ -294,11 +271,11 @@ def _ground(
     skin: Skin,
     along: NDArray[Any],
     around: NDArray[Any],
-    coarse: NDArray[np.float32],
-    fine: NDArray[np.float32],
+    coarse: Array32,
+    fine: Array32,
     assets: Assets,
     texel_m: tuple[float, float],
-) -> NDArray[np.float32]:
+) -> Array32:
     # Yellow towards the blossom end, stripes from the blossom end, mottling.
     ripe = smoothstep(skin.tip_reach, 0.0, along + 0.06 * coarse)
     color = mix(to_linear(skin.base), to_linear(skin.tip), 0.8 * ripe)
@@ -313,9 +290,7 @@ def _ground(
     return scale_colors(color, 1 + skin.mottle * (fine + 0.7 * coarse))
 
 
-def _close_up(
-    picture: NDArray[np.uint8], shape: tuple[int, ...], texel_m: tuple[float, float]
-) -> NDArray[np.float32]:
+def _close_up(picture: Pixels, shape: tuple[int, ...], texel_m: tuple[float, float]) -> Array32:
     # Mirrored in both directions to avoid seams; brightness and colour of the photo are removed.
     size = tuple(max(int(_TILE_M / m), 4) for m in reversed(texel_m))
     tile = to_linear(cv2.resize(picture, size, interpolation=cv2.INTER_AREA))
@@ -332,8 +307,8 @@ def _close_up(
 
 
 def _warts(
-    rng: np.random.Generator, skin: Skin, shape: tuple[int, int], texel_m: tuple[float, float]
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    rng: Generator, skin: Skin, shape: tuple[int, int], texel_m: tuple[float, float]
+) -> tuple[Array32, Array32]:
     rows, columns = shape
     area_cm2 = 1e4 * rows * columns * texel_m[0] * texel_m[1]
     spots = np.zeros(shape, np.float32)
@@ -354,12 +329,8 @@ def _warts(
 
 
 def _ends(
-    skin: Skin,
-    color: NDArray[np.float32],
-    from_blossom_m: NDArray[Any],
-    length_m: float,
-    noise: NDArray[np.float32],
-) -> NDArray[np.float32]:
+    skin: Skin, color: Array32, from_blossom_m: NDArray[Any], length_m: float, noise: Array32
+) -> Array32:
     # Blossom end: a corky scar in a pale ring. Stem end: a pale neck with a rim.
     size = np.clip(length_m / 0.2, 0.5, 1.1)
     from_tip_m = from_blossom_m + 0.0012 * noise
@@ -379,9 +350,7 @@ def _ends(
     )
 
 
-def _slopes(
-    height_m: NDArray[np.float32], row_m: float, column_m: float
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _slopes(height_m: Array32, row_m: float, column_m: float) -> tuple[Array32, Array32]:
     along = np.gradient(height_m, row_m, axis=0)
     around = (np.roll(height_m, -1, axis=1) - np.roll(height_m, 1, axis=1)) / (2 * column_m)
     return np.asarray(along), np.asarray(around)

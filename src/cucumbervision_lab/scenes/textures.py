@@ -8,7 +8,15 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
-from cucumbervision_lab.scenes.colors import jitter, mix, smooth_noise, smoothstep, to_linear
+from cucumbervision_lab.arrays import Array32, Generator, Pixels
+from cucumbervision_lab.scenes.colors import (
+    jitter,
+    mix,
+    palette,
+    smooth_noise,
+    smoothstep,
+    to_linear,
+)
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -32,7 +40,7 @@ _MAIN_DEG = (0.0, 42.0, 85.0, 125.0)
 
 
 @lru_cache(maxsize=4 * LEAF_TEXTURES)
-def leaf_texture(number: int, level: int = 0) -> NDArray[np.float32]:
+def leaf_texture(number: int, level: int = 0) -> Array32:
     """Generate the texture of a leaf.
 
     Parameters
@@ -81,7 +89,7 @@ def leaf_texture(number: int, level: int = 0) -> NDArray[np.float32]:
     return np.stack([tone, vein, 3.0 * along, 3.0 * across], axis=-1).astype(np.float32)
 
 
-def leaf_photo_texture(rng: np.random.Generator, assets: Assets) -> tuple[NDArray[np.float32], ...]:
+def leaf_photo_texture(rng: Generator, assets: Assets) -> tuple[Array32, ...]:
     """Crop a random leaf texture from a photo.
 
     Parameters
@@ -128,14 +136,14 @@ def leaf_level(half_px: float) -> int:
     return min(max(round(float(np.log2(fine / max(half_px, 1.0)))), 0), _BLADE_LEVELS)
 
 
-def _coarser(texture: NDArray[np.float32], level: int) -> NDArray[np.float32]:
+def _coarser(texture: Array32, level: int) -> Array32:
     # Equivalent blur at the original size.
     if level == 0:
         return texture
     return np.asarray(cv2.GaussianBlur(texture, (0, 0), 0.5 * 2.0**level))
 
 
-def leaf_texel(place: NDArray[np.float32]) -> NDArray[np.float32]:
+def leaf_texel(place: Array32) -> Array32:
     """Convert a position on the blade, in half axes from its centre, to texture pixels."""
     return (place / np.float32(LEAF_REACH) + 1) * np.float32(_BLADE_PX / 2) - np.float32(0.5)
 
@@ -145,35 +153,28 @@ TILE_M = 0.6  # what a tile of material spans
 _TILE_PX = 512
 
 _COLORS: dict[str, tuple[tuple[float, float, float], ...]] = {
-    "wood": ((176, 140, 98), (120, 86, 56), (205, 180, 145), (150, 130, 112)),
-    "steel": ((170, 172, 174), (120, 124, 128), (200, 202, 204)),
-    "plastic": (
-        (40, 42, 44),
-        (235, 236, 234),
-        (40, 90, 60),
-        (30, 80, 150),
-        (120, 124, 128),
-        (196, 60, 44),
-    ),
-    "cloth": ((225, 220, 210), (96, 110, 134), (60, 66, 60), (170, 60, 60), (214, 196, 140)),
-    "concrete": ((150, 148, 142), (110, 108, 104), (186, 184, 178)),
-    "cardboard": ((176, 142, 100), (196, 164, 120)),
-    "paper": ((242, 242, 240), (224, 226, 230)),
-    "soil": ((86, 66, 48), (120, 98, 74), (60, 52, 44)),
+    "wood": palette("b08c62 785638 cdb491 968270"),
+    "steel": palette("aaacae 787c80 c8cacc"),
+    "plastic": palette("282a2c ebecea 285a3c 1e5096 787c80 c43c2c"),
+    "cloth": palette("e1dcd2 606e86 3c423c aa3c3c d6c48c"),
+    "concrete": palette("96948e 6e6c68 bab8b2"),
+    "cardboard": palette("b08e64 c4a478"),
+    "paper": palette("f2f2f0 e0e2e6"),
+    "soil": palette("564230 78624a 3c342c"),
 }
 
 MATERIALS = tuple(_COLORS)
 
 
-def material_color(rng: np.random.Generator, material: str) -> tuple[float, float, float]:
+def material_color(rng: Generator, material: str) -> tuple[float, float, float]:
     """Sample a typical colour of a material, sRGB, 0 to 255."""
     choices = _COLORS[material]
     return jitter(rng, choices[rng.integers(len(choices))], 0.08)
 
 
 def material_tile(
-    rng: np.random.Generator, material: str, color: tuple[float, float, float], pixel_m: float = 0.0
-) -> NDArray[np.float32]:
+    rng: Generator, material: str, color: tuple[float, float, float], pixel_m: float = 0.0
+) -> Array32:
     """Generate a tileable texture of a material.
 
     Parameters
@@ -209,7 +210,7 @@ def material_tile(
     return np.asarray(cv2.GaussianBlur(tile, (0, 0), sigma_px)) if sigma_px > 0.3 else tile
 
 
-def _even(rng: np.random.Generator) -> NDArray[np.float32]:
+def _even(rng: Generator) -> Array32:
     fine = smooth_noise(rng, (_TILE_PX, _TILE_PX), 2, wrap=True)
     tone = 1 + 0.02 * fine
     for _ in range(int(rng.integers(0, 12))):  # scratches
@@ -218,7 +219,7 @@ def _even(rng: np.random.Generator) -> NDArray[np.float32]:
     return tone
 
 
-def _boards(rng: np.random.Generator) -> NDArray[np.float32]:
+def _boards(rng: Generator) -> Array32:
     grain = smooth_noise(rng, (_TILE_PX, _TILE_PX), (3, 90), wrap=True)
     broad = smooth_noise(rng, (_TILE_PX, _TILE_PX), (14, 300), wrap=True)
     knots = smooth_noise(rng, (_TILE_PX, _TILE_PX), (2, 40), wrap=True)
@@ -233,12 +234,12 @@ def _boards(rng: np.random.Generator) -> NDArray[np.float32]:
     return np.asarray(tone, np.float32)
 
 
-def _brushed(rng: np.random.Generator) -> NDArray[np.float32]:
+def _brushed(rng: Generator) -> Array32:
     lines = smooth_noise(rng, (_TILE_PX, _TILE_PX), (1, 200), wrap=True)
     return np.asarray(1 + 0.05 * lines + 0.05 * smooth_noise(rng, (_TILE_PX, _TILE_PX), (200, 90)))
 
 
-def _woven(rng: np.random.Generator) -> NDArray[np.float32]:
+def _woven(rng: Generator) -> Array32:
     period = float(rng.uniform(4, 9))
     line = np.arange(_TILE_PX, dtype=np.float32)
     weave = np.sin(2 * np.pi * line / period)[:, None] * np.sin(2 * np.pi * line / period)
@@ -250,7 +251,7 @@ def _woven(rng: np.random.Generator) -> NDArray[np.float32]:
     return np.asarray(tone * (1 + 0.1 * smooth_noise(rng, (_TILE_PX, _TILE_PX), 90)), np.float32)
 
 
-def _rough(rng: np.random.Generator) -> NDArray[np.float32]:
+def _rough(rng: Generator) -> Array32:
     layers = [(60, 0.12), (12, 0.10), (3, 0.10)]
     tone = np.ones((_TILE_PX, _TILE_PX), np.float32)
     for grain, spread in layers:
@@ -258,13 +259,13 @@ def _rough(rng: np.random.Generator) -> NDArray[np.float32]:
     return np.clip(tone, 0.2, 2)
 
 
-def _clods(rng: np.random.Generator) -> NDArray[np.float32]:
+def _clods(rng: Generator) -> Array32:
     clod = smooth_noise(rng, (_TILE_PX, _TILE_PX), 14, wrap=True)
     crumb = smooth_noise(rng, (_TILE_PX, _TILE_PX), 4, wrap=True)
     return np.clip(1 + 0.4 * clod + 0.35 * crumb, 0.12, 2.2)
 
 
-_TONES: dict[str, Callable[[np.random.Generator], NDArray[np.float32]]] = {
+_TONES: dict[str, Callable[[Generator], Array32]] = {
     "wood": _boards,
     "steel": _brushed,
     "cloth": _woven,
@@ -274,9 +275,7 @@ _TONES: dict[str, Callable[[np.random.Generator], NDArray[np.float32]]] = {
 }
 
 
-def far_view(
-    rng: np.random.Generator, kind: str, width: int, height: int, assets: Assets
-) -> NDArray[np.float32]:
+def far_view(rng: Generator, kind: str, width: int, height: int, assets: Assets) -> Array32:
     """Generate a distant background.
 
     Parameters
@@ -303,9 +302,7 @@ def far_view(
     return _blurred_leaves(rng, width, height)
 
 
-def _photo(
-    rng: np.random.Generator, pictures: tuple[NDArray[np.uint8], ...], width: int, height: int
-) -> NDArray[np.float32]:
+def _photo(rng: Generator, pictures: tuple[Pixels, ...], width: int, height: int) -> Array32:
     picture = pictures[rng.integers(len(pictures))]
     rows, columns = picture.shape[:2]
     scale = rng.uniform(0.5, 1.0) * min(columns / width, rows / height)
@@ -321,7 +318,7 @@ def _photo(
     return np.asarray(cv2.GaussianBlur(light, (0, 0), blur) if blur > 0.3 else light)
 
 
-def _pale(rng: np.random.Generator, width: int, height: int, level: float) -> NDArray[np.float32]:
+def _pale(rng: Generator, width: int, height: int, level: float) -> Array32:
     tone = 1 + 0.12 * smooth_noise(rng, (height, width), width / 3)
     tone += 0.25 * rng.normal() * np.linspace(-1, 1, height, dtype=np.float32)[:, None]
     tone = np.clip(tone, 0.1, 3).astype(np.float32)
@@ -334,7 +331,7 @@ def _pale(rng: np.random.Generator, width: int, height: int, level: float) -> ND
     return np.asarray(level * tone[..., None] * hue, np.float32)
 
 
-def _blurred_leaves(rng: np.random.Generator, width: int, height: int) -> NDArray[np.float32]:
+def _blurred_leaves(rng: Generator, width: int, height: int) -> Array32:
     shape = height // 4 + 1, width // 4 + 1
     tone = smooth_noise(rng, shape, width / 40) + 0.6 * smooth_noise(rng, shape, width / 110)
     dark = to_linear(jitter(rng, (30.0, 44.0, 26.0)))

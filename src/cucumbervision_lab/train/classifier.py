@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cucumbervision.networks.registry import file_sha256
+from cucumbervision_lab.arrays import Pixels
 from cucumbervision_lab.train.export import MAKERS, ModelCard, halve_storage, write_card
 from cucumbervision_lab.train.network import allowed_threads, import_ultralytics, load_yolo
 
@@ -172,7 +173,7 @@ def _resumed(parts: dict[str, Any], training: list[int], keep: Path | None) -> i
     return int(state["epoch"])
 
 
-def scaled_planes(pictures: NDArray[np.uint8]) -> Any:
+def scaled_planes(pictures: Pixels) -> Any:
     """Return pictures of shape (N, H, W, C) as a float32 tensor, (N, C, H, W) in 0 to 1."""
     import torch
 

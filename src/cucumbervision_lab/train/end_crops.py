@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
@@ -16,6 +16,7 @@ from cucumbervision.capture.pictures import read_color
 from cucumbervision.errors import TrainingError
 from cucumbervision.fruit.crops import end_crop
 from cucumbervision.tube.curve import arc_positions, points_along
+from cucumbervision_lab.arrays import Array, Array32, Generator, Mask, Pixels, Progress
 from cucumbervision_lab.data.splits import is_held_out
 from cucumbervision_lab.evaluate.pictures import capture_of
 from cucumbervision_lab.scenes.covers import FruitPicture, cover_end
@@ -66,14 +67,14 @@ class EndCrops:
         Whether its scene is not trained on.
     """
 
-    planes: NDArray[np.uint8]
-    shapes: NDArray[np.float32]
-    missing: NDArray[np.float32]
-    covered: NDArray[np.float32]
-    stem: NDArray[np.float32]
+    planes: Pixels
+    shapes: Array32
+    missing: Array32
+    covered: Array32
+    stem: Array32
     fruit: NDArray[np.int64]
-    moved: NDArray[np.bool_]
-    held_out: NDArray[np.bool_]
+    moved: Mask
+    held_out: Mask
 
     @property
     def state(self) -> NDArray[np.int64]:
@@ -105,7 +106,7 @@ class EndCrops:
         return EndCrops(*(getattr(self, name)[chosen] for name in self.__dataclass_fields__))
 
 
-def moved_axis(axis_m: NDArray[np.float64], by_m: float) -> NDArray[np.float64]:
+def moved_axis(axis_m: Array, by_m: float) -> Array:
     """Return an axis with its first end moved along it, outward where positive.
 
     Examples
@@ -221,11 +222,11 @@ def collect_covered_ends(
 def _covered_row(
     number: int,
     fruit: MeasuredFruit,
-    line_m: NDArray[np.float64],
+    line_m: Array,
     end: EndTruth,
     capture: Capture,
     pieces: Sequence[Cutout],
-    rng: np.random.Generator,
+    rng: Generator,
 ) -> tuple[Any, ...] | None:
     mask, radius_m = fruit.mask.decode(), fruit.diameter_m / 2
     radius_px = radius_m * capture.intrinsics.fx_px / float(line_m[0, 2])
@@ -260,7 +261,7 @@ def _covered_row(
     return crop.planes, crop.shape, missing, stem, number, False, False
 
 
-def _without_depth(picture: LabelledPicture, color: NDArray[np.uint8]) -> Capture:
+def _without_depth(picture: LabelledPicture, color: Pixels) -> Capture:
     return Capture(color, np.zeros(color.shape[:2], np.float32), camera_of(picture), picture.file)
 
 
@@ -268,7 +269,7 @@ def collect_set(
     data: DataSet,
     keep: Path,
     seed: int = 0,
-    progress: Callable[[int], None] | None = None,
+    progress: Progress | None = None,
     pieces: Sequence[Cutout] = (),
 ) -> tuple[list[MeasuredFruit], EndCrops]:
     """Measure the fruit of a drawn set, and cut out their ends.
@@ -316,7 +317,7 @@ def collect_set(
 
 
 def _crops_of(
-    number: int, fruit: MeasuredFruit, capture: Capture, rng: np.random.Generator
+    number: int, fruit: MeasuredFruit, capture: Capture, rng: Generator
 ) -> list[tuple[Any, ...]]:
     axis, mask = np.array(fruit.axis_m), fruit.mask.decode()
     held, rows = fruit.held_out, []

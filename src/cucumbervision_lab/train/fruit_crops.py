@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from io import BytesIO
 from pathlib import Path
@@ -20,6 +20,7 @@ from cucumbervision.fruit.crops import HEIGHT_PX, PLANES, WIDTH_PX, fruit_crop
 from cucumbervision.fruit.masks import box_ious, mask_iou
 from cucumbervision.networks.confidence import CANDIDATE_CONFIDENCE
 from cucumbervision.networks.loaded import NetworkLoader
+from cucumbervision_lab.arrays import Array, Array32, Mask, Pixels, Progress
 from cucumbervision_lab.data.labels import KEYPOINT_ORDER, ticked
 from cucumbervision_lab.data.splits import is_held_out
 from cucumbervision_lab.evaluate.pictures import capture_of, frame_of
@@ -78,15 +79,15 @@ class FruitCrops:
         Whether the scene belongs to the validation set.
     """
 
-    planes: NDArray[np.uint8]
-    outlines: NDArray[np.uint8]
-    has_outline: NDArray[np.bool_]
-    points: NDArray[np.float32]
-    visible: NDArray[np.float32]
-    stem: NDArray[np.float32]
-    is_fruit: NDArray[np.float32]
-    confidence: NDArray[np.float32]
-    held_out: NDArray[np.bool_]
+    planes: Pixels
+    outlines: Pixels
+    has_outline: Mask
+    points: Array32
+    visible: Array32
+    stem: Array32
+    is_fruit: Array32
+    confidence: Array32
+    held_out: Mask
 
     def only(self, chosen: NDArray[Any]) -> FruitCrops:
         """Return some of the crops."""
@@ -100,7 +101,7 @@ class FruitCrops:
 
 
 def collect_sets(
-    sets: Sequence[DataSet], keep: Path, progress: Callable[[int], None] | None = None
+    sets: Sequence[DataSet], keep: Path, progress: Progress | None = None
 ) -> FruitCrops:
     """Cut out what the packaged detector proposes in data sets.
 
@@ -149,9 +150,7 @@ def collect_sets(
 
 
 def collect_fruit_crops(
-    dataset: DataSet,
-    progress: Callable[[int], None] | None = None,
-    detector: YoloDetector | None = None,
+    dataset: DataSet, progress: Progress | None = None, detector: YoloDetector | None = None
 ) -> FruitCrops:
     """Cut out what the packaged detector proposes in a data set.
 
@@ -252,7 +251,7 @@ def _label_of(instance: Instance, picture: LabelledPicture) -> Label | None:
     return best
 
 
-def outline_in_crop(crop: FruitCrop, mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
+def outline_in_crop(crop: FruitCrop, mask: Mask) -> Pixels:
     """Return the share of each crop pixel that a mask covers, 0 to 255."""
     height, width = crop.planes.shape[:2]
     middle = np.array([(width - 1) / 2, (height - 1) / 2])
@@ -267,9 +266,7 @@ def outline_in_crop(crop: FruitCrop, mask: NDArray[np.bool_]) -> NDArray[np.uint
     return np.asarray(np.rint(255 * np.clip(warped, 0, 1)), np.uint8)
 
 
-def _points_of(
-    crop: FruitCrop, label: Label
-) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+def _points_of(crop: FruitCrop, label: Label) -> tuple[Array, Array, float]:
     keypoints = np.asarray(label.keypoints, np.float64)
     labelled = keypoints[:, 2] > 0
     points = np.where(labelled[:, None], crop.to_crop(keypoints[:, :2]), np.nan)

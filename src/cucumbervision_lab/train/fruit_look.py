@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from cucumbervision.fruit.crops import HEIGHT_PX, PLANES, WIDTH_PX
 from cucumbervision.networks.confidence import DEFAULT_CONFIDENCE
+from cucumbervision_lab.arrays import Array, Array32, Mask
 from cucumbervision_lab.train.classifier import (
     CHANNELS,
     LEARNT_FROM,
@@ -302,7 +303,7 @@ def shade(count: int) -> Any:
     return along.exp().clamp(0.25, 2.0)
 
 
-def predict_fruit(network: Any, crops: FruitCrops) -> tuple[NDArray[np.float32], ...]:
+def predict_fruit(network: Any, crops: FruitCrops) -> tuple[Array32, ...]:
     """Return outlines, keypoints and verdicts of the middle parts of crops.
 
     As in use, each is the mean for a crop and the same turned by half a turn.
@@ -360,7 +361,7 @@ def _median(values: NDArray[Any]) -> float:
     return float(np.median(values)) if values.size else float("nan")
 
 
-def _ious(masks: NDArray[np.bool_], truth: NDArray[np.bool_]) -> NDArray[np.float64]:
+def _ious(masks: Mask, truth: Mask) -> Array:
     both = (masks & truth).sum((1, 2))
     return np.asarray(both / np.maximum((masks | truth).sum((1, 2)), 1))
 

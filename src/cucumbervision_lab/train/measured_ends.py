@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import TypeAdapter
 from scipy.spatial import cKDTree
 
@@ -27,6 +26,7 @@ from cucumbervision.networks.keypoint_axis import axis_line
 from cucumbervision.run.measurer import Measurer
 from cucumbervision.run.options import MeasureOptions
 from cucumbervision.tube.curve import arc_positions, points_along
+from cucumbervision_lab.arrays import Array, Generator, Mask, Progress
 from cucumbervision_lab.data.labels import ticked
 from cucumbervision_lab.data.splits import is_held_out
 from cucumbervision_lab.evaluate.pictures import capture_of
@@ -119,9 +119,7 @@ class MeasuredFruit:
         return first, last
 
 
-def end_truths(
-    axis_m: NDArray[np.float64], true_m: NDArray[np.float64]
-) -> tuple[EndTruth, EndTruth]:
+def end_truths(axis_m: Array, true_m: Array) -> tuple[EndTruth, EndTruth]:
     """Return what is true of both ends of a measured axis.
 
     Parameters
@@ -151,9 +149,7 @@ def end_truths(
     return truths[0], truths[1]
 
 
-def _place_along(
-    line_m: NDArray[np.float64], run: NDArray[np.float64], point: NDArray[np.float64]
-) -> float:
+def _place_along(line_m: Array, run: Array, point: Array) -> float:
     """Return how far along a line, prolonged straight at its ends, a point lies."""
     nearest = int(np.linalg.norm(line_m - point, axis=1).argmin())
     before, after = max(nearest - 1, 0), min(nearest + 1, len(line_m) - 1)
@@ -162,7 +158,7 @@ def _place_along(
     return float(run[nearest] + (point - line_m[nearest]) @ ahead)
 
 
-def labelled_fruit(picture: LabelledPicture, rng: np.random.Generator) -> list[MeasuredFruit]:
+def labelled_fruit(picture: LabelledPicture, rng: Generator) -> list[MeasuredFruit]:
     """Return the fruit of a picture as far as their labels' masks show them, unmeasured.
 
     Cut from the labels, which costs a hundredth of measuring; ends and girth err at random about as
@@ -203,7 +199,7 @@ def labelled_fruit(picture: LabelledPicture, rng: np.random.Generator) -> list[M
 class _Body:
     """A fruit's true axis from blossom to stem end, its radius and lengths, metres."""
 
-    axis_m: NDArray[np.float64]
+    axis_m: Array
     radius_m: float
     lengths_m: tuple[float, float, float]
     stem_known: bool
@@ -322,8 +318,8 @@ def _record(
 def _measured_fruit(
     picture: LabelledPicture,
     label: Label,
-    mask: NDArray[np.bool_],
-    axis_m: NDArray[np.float64],
+    mask: Mask,
+    axis_m: Array,
     diameter_m: float,
     body: _Body,
 ) -> MeasuredFruit:
@@ -348,9 +344,7 @@ def _measured_fruit(
     )
 
 
-def write_measured(
-    data: DataSet, keep: Path, progress: Callable[[int], None] | None = None
-) -> None:
+def write_measured(data: DataSet, keep: Path, progress: Progress | None = None) -> None:
     """Measure every picture of a drawn set that the file does not hold yet.
 
     Those of held-out scenes come first, on the networks' masks alone; after every fourth of them

@@ -10,14 +10,9 @@ import numpy as np
 
 from cucumbervision.errors import CucumberVisionError, DataSetError
 from cucumbervision_lab.arrays import Progress
+from cucumbervision_lab.data import splits
 from cucumbervision_lab.data.coco import ANNOTATIONS, ROBOFLOW, read_coco
 from cucumbervision_lab.data.labels import SPLITS, picture_size
-from cucumbervision_lab.data.splits import (
-    Fingerprint,
-    copies,
-    take_fingerprints,
-    views_of_one_scene,
-)
 from cucumbervision_lab.data.yolo import read_yolo
 
 if TYPE_CHECKING:
@@ -260,12 +255,12 @@ def _duplicate_leaks(
     assigned = [p for p in pictures if p.split]
     if len({p.split for p in assigned}) < 2:
         return []
-    prints: list[Fingerprint] = []
+    prints: list[splits.Fingerprint] = []
     readable: list[LabelledPicture] = []
     findings: list[Finding] = []
     for picture in assigned:
         try:
-            prints += take_fingerprints([dataset.path(picture)], progress)
+            prints += splits.take_fingerprints([dataset.path(picture)], progress)
         except CucumberVisionError as error:
             findings.append(Finding("picture", picture.file, error.message, error.remedy))
         else:
@@ -283,22 +278,22 @@ def _duplicate_leaks(
 
 
 def _copies_across(
-    pictures: Sequence[LabelledPicture], prints: Sequence[Fingerprint]
+    pictures: Sequence[LabelledPicture], prints: Sequence[splits.Fingerprint]
 ) -> Iterator[tuple[int, int]]:
     index = {split: [k for k, p in enumerate(pictures) if p.split == split] for split in SPLITS}
     for a, b in (("train", "val"), ("train", "test"), ("val", "test")):
-        pairs = copies([prints[k] for k in index[a]], [prints[k] for k in index[b]])
+        pairs = splits.copies([prints[k] for k in index[a]], [prints[k] for k in index[b]])
         for i, j in pairs:
             picture, copy = sorted((index[a][i], index[b][j]))
             yield picture, copy
 
 
 def _views_across(
-    pictures: Sequence[LabelledPicture], prints: Sequence[Fingerprint]
+    pictures: Sequence[LabelledPicture], prints: Sequence[splits.Fingerprint]
 ) -> list[tuple[int, int]]:
     """Find near-duplicates across splits among pictures without a scene name."""
     unnamed = [k for k, p in enumerate(pictures) if not p.scene]
-    pairs = views_of_one_scene(
+    pairs = splits.views_of_one_scene(
         [prints[k] for k in unnamed],
         color=_LEAK_COLOR,
         corners=_LEAK_CORNERS,

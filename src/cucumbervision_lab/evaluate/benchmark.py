@@ -14,19 +14,7 @@ import pandas as pd
 from cucumbervision._version import __version__
 from cucumbervision.about import installed_versions
 from cucumbervision.errors import CucumberVisionError, MissingExtraError
-from cucumbervision.methods.intervals import (
-    LEAST_SPREAD,
-    PERCEIVED,
-    SCALE_SD,
-    Band,
-    IntervalModel,
-    IntervalModels,
-    Trees,
-    feature_groups,
-    has_no_interval,
-    raw_features,
-    spread,
-)
+from cucumbervision.methods import intervals
 from cucumbervision.methods.result import IntervalBasis
 from cucumbervision.methods.table import AVAILABLE
 from cucumbervision.run.finders import Finder, make_finder
@@ -137,7 +125,7 @@ def fit_interval_model(
     *,
     smallest_group: int = _SMALLEST_GROUP,
     missing: str = "",
-) -> IntervalModel:
+) -> intervals.IntervalModel:
     """Fit the spreads of errors, and the quantiles of held-out errors relative to them.
 
     Spreads are fitted in five folds, and the quantiles are taken over the errors of the held-out
@@ -184,7 +172,7 @@ def fit_interval_model(
         len(names), len(error)
     )
     rows = [dict(zip(names, row, strict=True)) for row in columns.T]
-    groups = [feature_groups(edges, row) for row in rows]
+    groups = [intervals.feature_groups(edges, row) for row in rows]
     members = {
         group: np.array([group in members for members in groups])
         for group in sorted({group for members in groups for group in members})
@@ -196,7 +184,7 @@ def fit_interval_model(
         if not group or chosen.sum() >= smallest_group
     }
     below, above = _fitted_sides(error, columns.T)
-    return IntervalModel(method, level, names, below, above, bands, edges, missing)
+    return intervals.IntervalModel(method, level, names, below, above, bands, edges, missing)
 
 
 def _held_out_spreads(error: Array, rows: Array, fold: NDArray[np.intp]) -> Array:
@@ -205,20 +193,22 @@ def _held_out_spreads(error: Array, rows: Array, fold: NDArray[np.intp]) -> Arra
     for held_out in (fold == k for k in range(_FOLDS)):
         sides = _fitted_sides(error[~held_out], rows[~held_out])
         for side, trees in enumerate(sides):
-            spreads[side, held_out] = [spread(trees, row) for row in rows[held_out]]
+            spreads[side, held_out] = [intervals.spread(trees, row) for row in rows[held_out]]
     return spreads
 
 
-def _fitted_sides(error: Array, rows: Array) -> tuple[Trees, Trees]:
+def _fitted_sides(error: Array, rows: Array) -> tuple[intervals.Trees, intervals.Trees]:
     """Return the trees of errors below and above 0."""
     below, above = (
-        fitted_trees(np.log(np.maximum(side + LEAST_SPREAD, LEAST_SPREAD)), rows)
+        fitted_trees(
+            np.log(np.maximum(side + intervals.LEAST_SPREAD, intervals.LEAST_SPREAD)), rows
+        )
         for side in (-error, error)
     )
     return below, above
 
 
-def fitted_trees(target: Array, rows: Array) -> Trees:
+def fitted_trees(target: Array, rows: Array) -> intervals.Trees:
     """Fit a quantile of a value by its features, by gradient boosting.
 
     Parameters
@@ -234,7 +224,7 @@ def fitted_trees(target: Array, rows: Array) -> Trees:
         If scikit-learn is not installed.
     """
     if not rows.shape[1]:
-        return Trees(float(np.quantile(target, _QUANTILE)))
+        return intervals.Trees(float(np.quantile(target, _QUANTILE)))
     try:
         from sklearn.ensemble import GradientBoostingRegressor
     except ImportError as error:
@@ -250,7 +240,7 @@ def fitted_trees(target: Array, rows: Array) -> Trees:
     ).fit(rows, target)
     parts = [_parts_of(estimator.tree_) for estimator in boosted.estimators_[:, 0]]
     features, limits, leaves = zip(*parts, strict=True)
-    return Trees(float(boosted.init_.constant_.item()), features, limits, leaves)
+    return intervals.Trees(float(boosted.init_.constant_.item()), features, limits, leaves)
 
 
 def _parts_of(tree: Any) -> tuple[Any, Any, Any]:
@@ -267,16 +257,16 @@ def _parts_of(tree: Any) -> tuple[Any, Any, Any]:
     return features, limits, tuple(_RATE * float(tree.value[leaf].item()) for leaf in leaves)
 
 
-def _band(error: Array, spreads: Array, level: float) -> Band:
+def _band(error: Array, spreads: Array, level: float) -> intervals.Band:
     short, long = -error / spreads[0], error / spreads[1]
     side = (1 + level) / 2
     low, high = conformal_quantile(short, side), conformal_quantile(long, side)
     # Where all misses lie on one side, that side takes both halves of the miss rate.
     if high <= 0:
-        return Band(conformal_quantile(short, level), 0.0, len(error))
+        return intervals.Band(conformal_quantile(short, level), 0.0, len(error))
     if low <= 0:
-        return Band(0.0, conformal_quantile(long, level), len(error))
-    return Band(low, high, len(error))
+        return intervals.Band(0.0, conformal_quantile(long, level), len(error))
+    return intervals.Band(low, high, len(error))
 
 
 def _folds(fruit: NDArray[np.str_], seed: int) -> NDArray[np.intp]:
@@ -285,7 +275,7 @@ def _folds(fruit: NDArray[np.str_], seed: int) -> NDArray[np.intp]:
     return np.asarray(order[place] % _FOLDS)
 
 
-def write_interval_models(path: Path, models: IntervalModels) -> None:
+def write_interval_models(path: Path, models: intervals.IntervalModels) -> None:
     """Write interval models as JSON with six significant digits, a model to a line.
 
     Examples
@@ -339,14 +329,16 @@ def _reading_features(reading: pd.Series[Any]) -> dict[str, float] | None:
         return None
     tube, mask = (reading.get(name) for name in ("m6_features", "mask_features"))
     mask = mask if isinstance(mask, dict) else {}
-    if has_no_interval(mask):
+    if intervals.has_no_interval(mask):
         return None
     if reading["method"].startswith("M6"):
         return tube | mask if isinstance(tube, dict) else None
-    return raw_features(reading["length_m"], reading["distance_m"], reading["fill"]) | mask
+    return (
+        intervals.raw_features(reading["length_m"], reading["distance_m"], reading["fill"]) | mask
+    )
 
 
-def fit_interval_models(readings: pd.DataFrame) -> IntervalModels:
+def fit_interval_models(readings: pd.DataFrame) -> intervals.IntervalModels:
     """Fit an interval model for each method, with known depth scale.
 
     Parameters
@@ -361,16 +353,19 @@ def fit_interval_models(readings: pd.DataFrame) -> IntervalModels:
     """
     models = {}
     by_networks = readings["masks"] == Masks.PERCEIVED
-    for part, behind in ((readings[~by_networks], ""), (readings[by_networks], PERCEIVED)):
+    for part, behind in (
+        (readings[~by_networks], ""),
+        (readings[by_networks], intervals.PERCEIVED),
+    ):
         for key, truth in TRUTH_OF.items() if len(part) else ():
             rows = part[(part["method"] == key) & part[truth].notna()]
             models[key + behind] = _fitted_model(key + behind, rows, truth)
-    return IntervalModels(_LEVEL, models, readings["fruit"].nunique())
+    return intervals.IntervalModels(_LEVEL, models, readings["fruit"].nunique())
 
 
-def _fitted_model(key: str, rows: pd.DataFrame, truth: str) -> IntervalModel:
+def _fitted_model(key: str, rows: pd.DataFrame, truth: str) -> intervals.IntervalModel:
     tube, tube_edges = key.startswith("M6"), TUBE_EDGES
-    if key.endswith(PERCEIVED):
+    if key.endswith(intervals.PERCEIVED):
         tube_edges = PERCEIVED_TUBE_EDGES
     names, edges = (TUBE_FEATURES, tube_edges) if tube else (RAW_FEATURES, RAW_EDGES)
     entries = [
@@ -387,7 +382,7 @@ def _fitted_model(key: str, rows: pd.DataFrame, truth: str) -> IntervalModel:
 
 
 def with_intervals(
-    readings: pd.DataFrame, book: IntervalModels, *, scale_known: bool = True
+    readings: pd.DataFrame, book: intervals.IntervalModels, *, scale_known: bool = True
 ) -> pd.DataFrame:
     """Add the columns `low_m` and `high_m` to readings, NaN without an interval.
 
@@ -409,7 +404,7 @@ def with_intervals(
         if features is not None:
             scale = 1.0 if scale_known else reading["depth_scale"]
             length_m = reading["length_m"] * scale
-            more_sd = 0.0 if scale_known else SCALE_SD
+            more_sd = 0.0 if scale_known else intervals.SCALE_SD
             interval = book.interval(reading["method"], length_m, features, more_sd)
             ends[label] = interval or (np.nan, np.nan)
     bounds = pd.DataFrame.from_dict(ends, "index", columns=["low_m", "high_m"], dtype=float)

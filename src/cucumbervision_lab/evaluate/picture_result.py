@@ -18,14 +18,8 @@ from cucumbervision.networks.find import each_fruit_once
 from cucumbervision.networks.keypoint_axis import place_keypoints
 from cucumbervision.networks.loaded import NetworkLoader
 from cucumbervision_lab.arrays import Array32, Pixels
+from cucumbervision_lab.evaluate import pictures
 from cucumbervision_lab.evaluate.outcomes import match_detections
-from cucumbervision_lab.evaluate.pictures import (
-    DetectedFruit,
-    Frame,
-    Stage,
-    detected_fruit,
-    frame_of,
-)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -87,7 +81,7 @@ class PictureResult:
         Run time of each network.
     """
 
-    frame: Frame
+    frame: pictures.Frame
     kept: tuple[Instance, ...]
     seconds: dict[str, float]
 
@@ -146,7 +140,7 @@ def open_networks(
 
 
 def detect_picture(
-    frame: Frame,
+    frame: pictures.Frame,
     color: Pixels,
     networks: Networks,
     depth_m: Array32 | None = None,
@@ -194,10 +188,10 @@ def detect_picture(
     ):
         instances = _placed(instances, networks.segmenter, color)
 
-    def coded(instances: Sequence[Instance]) -> tuple[DetectedFruit, ...]:
+    def coded(instances: Sequence[Instance]) -> tuple[pictures.DetectedFruit, ...]:
         if networks.ends is not None:
             instances = networks.ends.on(color, depth_m, focal_px).order(instances)
-        return tuple(detected_fruit(instance, depth_m) for instance in instances)
+        return tuple(pictures.detected_fruit(instance, depth_m) for instance in instances)
 
     frame = replace(
         frame,
@@ -209,11 +203,11 @@ def detect_picture(
     return PictureResult(frame, instances, seconds)
 
 
-def detect_set(data: DataSet, networks: Networks) -> list[Frame]:
+def detect_set(data: DataSet, networks: Networks) -> list[pictures.Frame]:
     """Run the networks on every picture of a data set, without depth."""
     return [
         detect_picture(
-            frame_of(picture, data, None), read_color(data.path(picture)), networks
+            pictures.frame_of(picture, data, None), read_color(data.path(picture)), networks
         ).frame
         for picture in data.pictures
     ]
@@ -272,5 +266,5 @@ def merge_detections(
 
 def found_by_fruit(result: PictureResult, confidence: float) -> dict[int, Instance]:
     """Return the reported instance of each detected fruit, by its index in `Frame.true`."""
-    matches, _, required = match_detections(result.frame, confidence, Stage.KEPT)
+    matches, _, required = match_detections(result.frame, confidence, pictures.Stage.KEPT)
     return {required[t]: result.kept[s] for t, s in matches.pairs}

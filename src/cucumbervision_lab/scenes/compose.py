@@ -12,17 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision_lab.arrays import Array, Generator
+from cucumbervision_lab.scenes import placing
 from cucumbervision_lab.scenes.bodies import Variety, random_fruit, rotation
-from cucumbervision_lab.scenes.placing import (
-    NEAREST_M,
-    Ground,
-    crate_rods,
-    in_front,
-    occlude,
-    place_hanging,
-    place_lying,
-    trellis,
-)
 from cucumbervision_lab.scenes.raycast import Leaf, Stem
 from cucumbervision_lab.scenes.scene import Scene
 
@@ -191,7 +182,9 @@ def _compose_hanging(
     for _ in range(count):
         for _ in range(_TRIES):
             fruit = _random_hanging(rng, camera, variety, distance_m)
-            if fruit.centres_m[:, 2].min() > NEAREST_M + 0.03 and _is_separate(fruit, placed):
+            if fruit.centres_m[:, 2].min() > placing.NEAREST_M + 0.03 and _is_separate(
+                fruit, placed
+            ):
                 placed.append(fruit)
                 break
     scene = _behind(rng, camera, tuple(placed), distance_m)
@@ -200,7 +193,7 @@ def _compose_hanging(
     for index in range(len(placed)):
         if rng.random() < difficulty.covered:
             share, free = float(rng.uniform(0.05, 0.6)), bool(rng.random() < 0.55)
-            covered = occlude(scene, camera, index, share, rng, ends_free=free)
+            covered = placing.occlude(scene, camera, index, share, rng, ends_free=free)
             if covered is not scene:
                 scene = covered
                 leaf_roles.append("leaf")
@@ -236,7 +229,7 @@ def _random_hanging(
     z = distance_m * rng.uniform(0.88, 1.2)
     u, v = rng.uniform(0.04, 0.96) * camera.width, rng.uniform(0.06, 0.94) * camera.height
     x, y = (float(r) for r in camera.rays(u, v))
-    return place_hanging(
+    return placing.place_hanging(
         _random_of_variety(rng, variety),
         (x * z, y * z, z),
         roll_deg=-90.0 + rng.normal(0, 14),
@@ -249,9 +242,11 @@ def _behind(
     rng: Generator, camera: Intrinsics, fruit: tuple[Tube, ...], distance_m: float
 ) -> Scene:
     if fruit:
-        return trellis(rng, camera, fruit, behind_m=float(rng.uniform(0.0, 0.25)))
-    stand_in = (place_hanging(_random_of_variety(rng, Variety.MINI), (0.0, 0.0, distance_m)),)
-    return replace(trellis(rng, camera, stand_in), fruit=())
+        return placing.trellis(rng, camera, fruit, behind_m=float(rng.uniform(0.0, 0.25)))
+    stand_in = (
+        placing.place_hanging(_random_of_variety(rng, Variety.MINI), (0.0, 0.0, distance_m)),
+    )
+    return replace(placing.trellis(rng, camera, stand_in), fruit=())
 
 
 def _loose_leaves(
@@ -274,7 +269,7 @@ def _loose_leaves(
             (float(rng.normal(0, 2)), float(rng.normal(0, 2))),
             rng.uniform(0.05, 0.18),
         )
-        if in_front(leaf):
+        if placing.in_front(leaf):
             leaves.append(leaf)
     return tuple(leaves)
 
@@ -302,7 +297,7 @@ def _crossing(rng: Generator, fruit: Tube) -> tuple[Stem, ...]:
         angle = np.deg2rad(rng.normal(0, 5) if turn == 0 else rng.normal(90, turn))
         along = np.array([np.cos(angle), np.sin(angle), rng.normal(0, 0.1)])
         place = middle * (1 + off_m / middle[2]) + rng.normal(0, 0.5 * radius_m, 3) * (1, 1, 0)
-        if rng.random() < share and place[2] - 0.2 * half_m > NEAREST_M:
+        if rng.random() < share and place[2] - 0.2 * half_m > placing.NEAREST_M:
             rods.append(Stem(np.stack([place - half_m * along, place + half_m * along]), thick_m))
     return tuple(rods)
 
@@ -378,8 +373,8 @@ def _pitch(angle_deg: float) -> Array:
 
 def _all_in_front(scene: Scene) -> bool:
     return (
-        all(f.centres_m[:, 2].min() > NEAREST_M for f in scene.fruit)
-        and all(in_front(leaf) for leaf in scene.leaves)
+        all(f.centres_m[:, 2].min() > placing.NEAREST_M for f in scene.fruit)
+        and all(placing.in_front(leaf) for leaf in scene.leaves)
         and all(rod.vertices_m[:, 2].min() > 2 * rod.radius_m for rod in scene.stems)
     )
 
@@ -414,9 +409,9 @@ def _compose_lying(
     if crated:
         # Near enough to fill a large part of the picture.
         distance_m = max(float(inner_m[0] * rng.uniform(0.9, 1.8)), 0.38)
-    ground = Ground.seen(rng, distance_m)
-    placed, indices = place_lying(rng, camera, ground, bodies, inner_m if crated else None)
-    rods = crate_rods(rng, ground, inner_m) if crated else ()
+    ground = placing.Ground.seen(rng, distance_m)
+    placed, indices = placing.place_lying(rng, camera, ground, bodies, inner_m if crated else None)
+    rods = placing.crate_rods(rng, ground, inner_m) if crated else ()
     ends = [
         _end_details(rng, fruit) if real[k] else ((), ())
         for k, fruit in zip(indices, placed, strict=True)

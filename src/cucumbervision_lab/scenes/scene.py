@@ -10,16 +10,7 @@ import numpy as np
 
 from cucumbervision.tube.curve import points_along
 from cucumbervision_lab.arrays import Array, Array32, Mask, Pixels
-from cucumbervision_lab.scenes.raycast import (
-    Leaf,
-    Plane,
-    Stem,
-    cast_leaf,
-    cast_plane,
-    cast_stem,
-    cast_tube,
-    ray_grid,
-)
+from cucumbervision_lab.scenes import raycast
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -60,14 +51,14 @@ class Scene:
     """
 
     fruit: tuple[Tube, ...]
-    leaves: tuple[Leaf, ...] = ()
-    stems: tuple[Stem, ...] = ()
-    planes: tuple[Plane, ...] = ()
+    leaves: tuple[raycast.Leaf, ...] = ()
+    stems: tuple[raycast.Stem, ...] = ()
+    planes: tuple[raycast.Plane, ...] = ()
 
     @classmethod
     def of(cls, *fruit: Tube, backdrop_m: float | None = None) -> Scene:
         """Create a scene of fruit, optionally in front of a plane that faces the camera."""
-        return cls(fruit, planes=() if backdrop_m is None else (Plane.facing(backdrop_m),))
+        return cls(fruit, planes=() if backdrop_m is None else (raycast.Plane.facing(backdrop_m),))
 
     def moved(self, turn: Array, by_m: ArrayLike) -> Scene:
         """Return the scene rotated about the origin by a 3x3 matrix, then translated by metres."""
@@ -195,7 +186,7 @@ def render(scene: Scene, camera: Intrinsics) -> View:
         kind[hit.window][closer], body[hit.window][closer] = what, index
     depth[np.isinf(depth)] = 0.0
     share, normal = np.zeros(shape, np.float32), np.zeros((*shape, 3), np.float32)
-    grid = ray_grid(camera)
+    grid = raycast.ray_grid(camera)
     for index, tube in enumerate(scene.fruit):
         v, u = np.nonzero((kind == Kind.FRUIT) & (body == index))
         k, z = part[v, u], depth[v, u]
@@ -207,13 +198,13 @@ def render(scene: Scene, camera: Intrinsics) -> View:
 
 def _hits(scene: Scene, camera: Intrinsics) -> Iterator[tuple[Kind, int, Hit | None]]:
     for index, tube in enumerate(scene.fruit):
-        yield Kind.FRUIT, index, cast_tube(tube, camera)
+        yield Kind.FRUIT, index, raycast.cast_tube(tube, camera)
     for index, leaf in enumerate(scene.leaves):
-        yield Kind.LEAF, index, cast_leaf(leaf, camera)
+        yield Kind.LEAF, index, raycast.cast_leaf(leaf, camera)
     for index, stem in enumerate(scene.stems):
-        yield Kind.STEM, index, cast_stem(stem, camera)
+        yield Kind.STEM, index, raycast.cast_stem(stem, camera)
     for index, plane in enumerate(scene.planes):
-        yield Kind.PLANE, index, cast_plane(plane, camera)
+        yield Kind.PLANE, index, raycast.cast_plane(plane, camera)
 
 
 def truth_of(scene: Scene, camera: Intrinsics, view: View | None = None) -> tuple[FruitTruth, ...]:

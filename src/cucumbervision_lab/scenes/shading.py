@@ -9,14 +9,9 @@ import cv2
 import numpy as np
 
 from cucumbervision_lab.arrays import Array32, Generator, Mask
+from cucumbervision_lab.scenes import lighting
 from cucumbervision_lab.scenes.appearance import FAR, Style
 from cucumbervision_lab.scenes.colors import mix, sample, scale_colors, smooth_noise, to_linear
-from cucumbervision_lab.scenes.lighting import (
-    ambient_occlusion,
-    dappled_shade,
-    light_maps,
-    sun_shadow,
-)
 from cucumbervision_lab.scenes.raycast import ray_grid
 from cucumbervision_lab.scenes.scene import Kind
 from cucumbervision_lab.scenes.skin import skin_maps
@@ -298,7 +293,7 @@ def _lit(job: _Job) -> Array32:
     grid = ray_grid(camera)
     background = layers.far.reshape(shape)
     depth = np.where((view.depth_m > 0) & ~background, view.depth_m, _FAR_M).astype(np.float32)
-    maps = light_maps(job.rng, style.light, job.assets)
+    maps = lighting.light_maps(job.rng, style.light, job.assets)
     normal = layers.normal.reshape(*shape, 3)
     albedo = layers.albedo.reshape(*shape, 3)
     gloss, through = layers.gloss.reshape(shape), layers.through.reshape(shape)
@@ -309,7 +304,7 @@ def _lit(job: _Job) -> Array32:
 
     half = np.float32(size / 2)
     x, y = ((normal[..., i] + 1) * half - np.float32(0.5) for i in range(2))
-    open_ = ambient_occlusion(depth)
+    open_ = lighting.ambient_occlusion(depth)
     front = found(maps.front, x, y)
     front += scale_colors(found(maps.back * _SEEN_THROUGH, x, y), through)
     nearest = float(np.quantile(depth[::8, ::8], 0.02))
@@ -343,9 +338,9 @@ def _sunlit(
     light: Light,
 ) -> Array32:
     albedo, normal, gloss, through = layers
-    lit = sun_shadow(rng, depth_m, camera, light) * np.sqrt(gloom)
+    lit = lighting.sun_shadow(rng, depth_m, camera, light) * np.sqrt(gloom)
     if light.shade > 0:
-        lit = lit * dappled_shade(rng, depth_m, camera, light)
+        lit = lit * lighting.dappled_shade(rng, depth_m, camera, light)
     sun = np.asarray(light.sun, np.float32)
     halfway = sun + np.array([0, 0, -1], np.float32)
     halfway /= np.linalg.norm(halfway)

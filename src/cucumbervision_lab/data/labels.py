@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import shutil
 from collections.abc import Mapping
@@ -62,6 +63,12 @@ class Label:
         Excluded from training and evaluation, such as a slice or an incompletely labelled crate.
     pseudo : bool
         Whether the mask was predicted by a network.
+    optional : bool
+        Whether the fruit may be detected once but need not be, such as a zucchini.
+    score : float
+        Confidence of a detection.
+    distance_m : float
+        Depth of the fruit's centre, metres; NaN if unknown.
     extras : mapping of str to JSON values
         Further values: centreline_m, thread_m, chord_m, distance_m, tilt_deg, axis_m, radius_m.
 
@@ -83,6 +90,9 @@ class Label:
     cut_off: bool = False
     ignore: bool = False
     pseudo: bool = False
+    optional: bool = False
+    score: float = 1.0
+    distance_m: float = math.nan
     extras: Mapping[str, Any] = field(default_factory=dict)
 
     @classmethod
@@ -106,6 +116,16 @@ class Label:
         code = Rle.of(mask) if mask.any() else None
         amodal_code = None if amodal is None else Rle.of(amodal)
         return cls(box_of_mask(mask), mask_code=code, amodal_code=amodal_code, **rest)
+
+    @property
+    def required(self) -> bool:
+        """Whether the fruit must be detected."""
+        return not (self.ignore or self.optional)
+
+    @property
+    def long_px(self) -> float:
+        """Longer side of the box, pixels."""
+        return float(max(self.box[2:] - self.box[:2]))
 
     @property
     def mask(self) -> Mask | None:

@@ -16,14 +16,15 @@ import pandas as pd
 from cucumbervision.accuracy.statistics import Estimate, share
 from cucumbervision.fruit.masks import box_iou, box_ious, share_inside
 from cucumbervision_lab.arrays import Array, Mask
-from cucumbervision_lab.evaluate.pictures import Stage, code_iou, import_pycocotools
+from cucumbervision_lab.evaluate.pictures import Stage, coco_code, code_iou, import_pycocotools
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from numpy.typing import ArrayLike, NDArray
 
-    from cucumbervision_lab.evaluate.pictures import DetectedFruit, Frame, TrueFruit
+    from cucumbervision_lab.data.labels import Label
+    from cucumbervision_lab.evaluate.pictures import Frame
 
 
 _MIN_IOU = 0.5
@@ -143,14 +144,14 @@ def match_fruit(frame: Frame, boxes: Sequence[Array]) -> tuple[Matches, tuple[in
 
 def match_detections(
     frame: Frame, confidence: float, stage: Stage
-) -> tuple[Matches, tuple[DetectedFruit, ...], tuple[int, ...]]:
+) -> tuple[Matches, tuple[Label, ...], tuple[int, ...]]:
     """Match the detections of a frame above a confidence threshold.
 
     Returns
     -------
     matches : Matches
         Pairs of indices into `required` and into `detections`.
-    detections : tuple of DetectedFruit
+    detections : tuple of Label
         Detections above the threshold.
     required : tuple of int
         Indices in `frame.true` of the fruit to be detected.
@@ -189,11 +190,12 @@ def fruit_rows(
         hit = {required[t]: detections[s] for t, s in matches.pairs}
         for k in required:
             fruit, by = frame.true[k], hit.get(k)
-            place = fruit.long_px, fruit.distance_m, fruit.hidden_share, fruit.cut_off
+            hidden = math.nan if fruit.hidden_share is None else fruit.hidden_share
+            place = fruit.long_px, fruit.distance_m, hidden, fruit.cut_off
             overlaps = (math.nan,) * 3
             if by is not None:
-                has_masks = frame.has_masks and fruit.code is not None
-                of_masks = code_iou(fruit.code, by.code) if has_masks else math.nan
+                has_masks = frame.has_masks and fruit.mask_code is not None
+                of_masks = code_iou(fruit.mask_code, by.mask_code) if has_masks else math.nan
                 overlaps = by.score, box_iou(fruit.box, by.box), of_masks
             rows.append((frame.name, frame.scene, k, *place, by is not None, *overlaps))
     return pd.DataFrame(rows, columns=_FRUIT)
@@ -232,12 +234,13 @@ def end_rows(frames: Sequence[Frame], confidence: float) -> pd.DataFrame:
 
     Examples
     --------
-    >>> from cucumbervision_lab.evaluate.pictures import Frame, DetectedFruit, TrueFruit
+    >>> from cucumbervision_lab.data.labels import Label
+    >>> from cucumbervision_lab.evaluate.pictures import Frame
     >>> true_points = np.array([[10.0, 10, 2], [35, 10, 2], [60, 10, 2], [85, 10, 2], [110, 10, 1]])
     >>> swapped = true_points[::-1] + (0, 1.0, 0)
     >>> box = np.array([10.0, 5, 110, 15])
-    >>> detection = DetectedFruit(box, 0.9, None, swapped)
-    >>> truth = (TrueFruit(box, keypoints=true_points),)
+    >>> detection = Label(box, keypoints=swapped, score=0.9)
+    >>> truth = (Label(box, keypoints=true_points),)
     >>> frame = Frame("a", "a", 200, 50, truth, kept=(detection,))
     >>> row = end_rows([frame], 0.3).iloc[0]
     >>> float(row.length_px), round(float(row.blossom_percent), 3), bool(row.swapped)
@@ -433,13 +436,14 @@ def _annotations(
     return {**head, "annotations": truth}, {**head, "annotations": detections}
 
 
-def _true_entry(fruit: TrueFruit, iou_type: IouType, frame: Frame) -> dict[str, Any]:
+def _true_entry(fruit: Label, iou_type: IouType, frame: Frame) -> dict[str, Any]:
     masks = import_pycocotools()
     box = _xywh(fruit.box)
     points = np.zeros((5, 3)) if fruit.keypoints is None else fruit.keypoints
     unlabelled = iou_type is IouType.KEYPOINTS and not (points[:, 2] > 0).any()
-    unknown = unlabelled or (iou_type is IouType.MASKS and fruit.code is None)
-    area = float(masks.area(fruit.code)) if fruit.code else _BOX_FILL * box[2] * box[3]
+    unknown = unlabelled or (iou_type is IouType.MASKS and fruit.mask_code is None)
+    code = None if fruit.mask_code is None else coco_code(fruit.mask_code)
+    area = float(masks.area(code)) if code else _BOX_FILL * box[2] * box[3]
     entry: dict[str, Any] = {
         "bbox": box,
         "area": area,
@@ -447,7 +451,7 @@ def _true_entry(fruit: TrueFruit, iou_type: IouType, frame: Frame) -> dict[str, 
     }
     if iou_type is IouType.MASKS:
         filled = masks.frPyObjects(np.array([box]), frame.height, frame.width)[0]
-        entry["segmentation"] = fruit.code or filled
+        entry["segmentation"] = code or filled
     if iou_type is IouType.KEYPOINTS:
         points = np.zeros((5, 3)) if unlabelled else points + _TO_CORNER
         entry["keypoints"] = points.ravel().tolist()
@@ -455,12 +459,13 @@ def _true_entry(fruit: TrueFruit, iou_type: IouType, frame: Frame) -> dict[str, 
     return entry
 
 
-def _seen_entry(detection: DetectedFruit, iou_type: IouType, frame: Frame) -> dict[str, Any]:
+def _seen_entry(detection: Label, iou_type: IouType, frame: Frame) -> dict[str, Any]:
     box = _xywh(detection.box)
     entry: dict[str, Any] = {"bbox": box, "area": box[2] * box[3], "score": detection.score}
     if iou_type is IouType.MASKS:
         empty = {"size": [frame.height, frame.width], "counts": [frame.height * frame.width]}
-        entry["segmentation"] = detection.code or empty
+        code = detection.mask_code
+        entry["segmentation"] = empty if code is None else coco_code(code)
     if iou_type is IouType.KEYPOINTS and detection.keypoints is not None:
         entry["keypoints"] = (detection.keypoints + _TO_CORNER).ravel().tolist()
     return entry

@@ -25,7 +25,7 @@ from cucumbervision_lab.arrays import Array, Pixels, Progress
 from cucumbervision_lab.data.labels import DataSet, Label, LabelledPicture, list_pictures, ticked
 from cucumbervision_lab.evaluate.outcomes import Score, detection_rows, fruit_rows, overall
 from cucumbervision_lab.evaluate.picture_result import detect_picture
-from cucumbervision_lab.evaluate.pictures import Frame, TrueFruit
+from cucumbervision_lab.evaluate.pictures import Frame
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -286,12 +286,11 @@ def audited_photos(folder: Path, split: str = "test") -> tuple[list[Photo], int]
     photos = []
     for picture in data.pictures:
         true_fruit = tuple(
-            TrueFruit(
-                label.box,
+            replace(
+                label,
+                mask_code=None,
                 keypoints=_keypoints(label.extras.get("ends_px")),
-                ignore=label.ignore,
                 optional=label.extras["kind"] == "zucchini",
-                cut_off=label.cut_off,
             )
             for label in picture.labels
         )
@@ -364,8 +363,9 @@ def half_size(truth: Frame, color: Pixels) -> tuple[Frame, Pixels]:
 
     Examples
     --------
-    >>> from cucumbervision_lab.evaluate.pictures import Frame, TrueFruit
-    >>> frame = Frame("a.jpg", "s", 8, 4, (TrueFruit(np.array([-0.5, -0.5, 7.5, 3.5])),))
+    >>> from cucumbervision_lab.data.labels import Label
+    >>> from cucumbervision_lab.evaluate.pictures import Frame
+    >>> frame = Frame("a.jpg", "s", 8, 4, (Label(np.array([-0.5, -0.5, 7.5, 3.5])),))
     >>> truth, color = half_size(frame, np.zeros((4, 8, 3), np.uint8))
     >>> truth.true[0].box.tolist()
     [1.5, 0.5, 5.5, 2.5]

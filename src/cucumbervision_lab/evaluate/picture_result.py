@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from cucumbervision.networks.loaded import NetworkSegmenter
     from cucumbervision.networks.looks import FruitLooker
     from cucumbervision.networks.yolo import YoloDetector
-    from cucumbervision_lab.data.labels import DataSet
+    from cucumbervision_lab.data.labels import DataSet, Label
 
 
 _LEAST_CONFIDENCE = 0.001
@@ -188,10 +188,10 @@ def detect_picture(
     ):
         instances = _placed(instances, networks.segmenter, color)
 
-    def coded(instances: Sequence[Instance]) -> tuple[pictures.DetectedFruit, ...]:
+    def coded(instances: Sequence[Instance]) -> tuple[Label, ...]:
         if networks.ends is not None:
             instances = networks.ends.on(color, depth_m, focal_px).order(instances)
-        return tuple(pictures.detected_fruit(instance, depth_m) for instance in instances)
+        return tuple(pictures.detected_label(instance, depth_m) for instance in instances)
 
     frame = replace(
         frame,

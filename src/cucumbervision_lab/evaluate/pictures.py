@@ -12,20 +12,19 @@ import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.errors import CaptureError, DataSetError, MissingExtraError
-from cucumbervision_lab.arrays import Array, Array32, Mask, Pixels
+from cucumbervision.fruit.mask_codes import Rle
+from cucumbervision_lab.arrays import Array, Array32, Pixels
 from cucumbervision_lab.data.coco import read_coco
-from cucumbervision_lab.data.labels import picture_size
+from cucumbervision_lab.data.labels import Label, picture_size
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from cucumbervision.capture.frames import Capture
     from cucumbervision.fruit.instance import Instance
-    from cucumbervision_lab.data.labels import DataSet, Label, LabelledPicture
+    from cucumbervision_lab.data.labels import DataSet, LabelledPicture
 
 T = TypeVar("T")
-Code = dict[str, Any]
-"""A mask in pycocotools format: `size` (H, W) and compressed run lengths."""
 
 
 def import_pycocotools() -> Any:
@@ -52,89 +51,6 @@ class Stage(StrEnum):
 
 
 @dataclass(frozen=True, eq=False)
-class TrueFruit:
-    """A labelled fruit or ignore region.
-
-    Parameters
-    ----------
-    box : ndarray of float64, shape (4,)
-        Edges x1, y1, x2, y2 of the visible part, pixels.
-    code : dict, optional
-        Encoded mask of the visible part.
-    keypoints : ndarray of float64, shape (5, 3), optional
-        u, v in pixels and COCO visibility: 2 visible, 1 hidden, 0 not labelled or outside the
-        picture (at 0, 0 if the position is unknown).
-    ignore : bool
-        True for ignore regions.
-    optional : bool
-        True for zucchini, which may be detected once but need not be.
-    hidden_share : float
-        Occluded share of the outline, 0 to 1; NaN if unknown.
-    cut_off : bool, optional
-        Whether the fruit extends beyond the picture; None if unknown.
-    distance_m : float
-        Depth of the fruit's centre, metres; NaN if unknown.
-    centreline_m, thread_m, chord_m : float, optional
-        True lengths, metres.
-    axis_m : ndarray of float64, shape (K, 3), optional
-        The true axis from blossom end to stem end, camera coordinates, metres.
-    """
-
-    box: Array
-    code: Code | None = None
-    keypoints: Array | None = None
-    ignore: bool = False
-    optional: bool = False
-    hidden_share: float = math.nan
-    cut_off: bool | None = None
-    distance_m: float = math.nan
-    centreline_m: float | None = None
-    thread_m: float | None = None
-    chord_m: float | None = None
-    axis_m: Array | None = None
-
-    @property
-    def required(self) -> bool:
-        """Whether the fruit must be detected."""
-        return not (self.ignore or self.optional)
-
-    @property
-    def long_px(self) -> float:
-        """Longer side of the box, pixels."""
-        return float(max(self.box[2] - self.box[0], self.box[3] - self.box[1]))
-
-
-@dataclass(frozen=True, eq=False)
-class DetectedFruit:
-    """A detection.
-
-    Parameters
-    ----------
-    box : ndarray of float64, shape (4,)
-        Edges x1, y1, x2, y2, pixels.
-    score : float
-        Confidence.
-    code : dict, optional
-        Encoded mask.
-    keypoints : ndarray of float64, shape (5, 3), optional
-        u, v in pixels and visibility 0 to 1.
-    distance_m : float
-        Depth at the centre of the box; NaN if unknown.
-    """
-
-    box: Array
-    score: float
-    code: Code | None = None
-    keypoints: Array | None = None
-    distance_m: float = math.nan
-
-    @property
-    def long_px(self) -> float:
-        """Longer side of the box, pixels."""
-        return float(max(self.box[2] - self.box[0], self.box[3] - self.box[1]))
-
-
-@dataclass(frozen=True, eq=False)
 class Frame:
     """Labels and detections of one picture.
 
@@ -146,11 +62,11 @@ class Frame:
         Scene; pictures of one scene are not independent samples.
     width, height : int
         Size, pixels.
-    true : tuple of TrueFruit
+    true : tuple of Label
         Labels.
-    segmented, posed : tuple of DetectedFruit
+    segmented, posed : tuple of Label
         Detections of the two networks at any confidence, best first.
-    kept : tuple of DetectedFruit
+    kept : tuple of Label
         Reported detections at the confidence threshold, without duplicates.
     has_masks : bool
         Whether the first network predicts masks.
@@ -160,43 +76,41 @@ class Frame:
     scene: str
     width: int
     height: int
-    true: tuple[TrueFruit, ...] = ()
-    segmented: tuple[DetectedFruit, ...] = ()
-    posed: tuple[DetectedFruit, ...] = ()
-    kept: tuple[DetectedFruit, ...] = ()
+    true: tuple[Label, ...] = ()
+    segmented: tuple[Label, ...] = ()
+    posed: tuple[Label, ...] = ()
+    kept: tuple[Label, ...] = ()
     has_masks: bool = True
 
-    def detections(self, stage: Stage) -> tuple[DetectedFruit, ...]:
+    def detections(self, stage: Stage) -> tuple[Label, ...]:
         """Return the detections of one stage."""
         return {Stage.SEGMENTED: self.segmented, Stage.POSED: self.posed, Stage.KEPT: self.kept}[
             stage
         ]
 
 
-def encode_mask(mask: Mask) -> Code:
-    """Encode a mask of shape (H, W).
+def coco_code(code: Rle) -> dict[str, Any]:
+    """Return a mask as pycocotools takes it."""
+    return {"size": [code.height, code.width], "counts": code.counts}
+
+
+def code_iou(a: Rle | None, b: Rle | None) -> float:
+    """Return the IoU of two masks; 0 if one is missing or empty.
 
     Examples
     --------
     >>> mask = np.zeros((4, 6), bool)
     >>> mask[1:3, 2:5] = True
-    >>> code = encode_mask(mask)
-    >>> code["size"], code_iou(code, code)
-    ([4, 6], 1.0)
+    >>> code_iou(Rle.of(mask), Rle.of(mask))
+    1.0
     """
-    code: Code = import_pycocotools().encode(np.asfortranarray(mask, np.uint8))
-    return code
-
-
-def code_iou(a: Code | None, b: Code | None) -> float:
-    """Return the IoU of two encoded masks; 0 if one is missing or empty."""
     if a is None or b is None:
         return 0.0
-    return float(import_pycocotools().iou([a], [b], [0])[0, 0])
+    return float(import_pycocotools().iou([coco_code(a)], [coco_code(b)], [0])[0, 0])
 
 
-def detected_fruit(instance: Instance, depth_m: Array32 | None = None) -> DetectedFruit:
-    """Convert an instance to a detection with encoded mask, which saves memory.
+def detected_label(instance: Instance, depth_m: Array32 | None = None) -> Label:
+    """Return a detection with its mask encoded, which saves memory.
 
     Parameters
     ----------
@@ -206,9 +120,13 @@ def detected_fruit(instance: Instance, depth_m: Array32 | None = None) -> Detect
         Depth in metres. The distance is the median in the middle ninth of the box.
     """
     mask = instance.detector_mask
-    code = None if mask is None else encode_mask(mask)
-    distance = math.nan if depth_m is None else _centre_depth(instance.box, depth_m)
-    return DetectedFruit(instance.box, instance.confidence, code, instance.keypoints, distance)
+    return Label(
+        instance.box,
+        mask_code=None if mask is None else Rle.of(mask),
+        keypoints=instance.keypoints,
+        score=instance.confidence,
+        distance_m=math.nan if depth_m is None else _centre_depth(instance.box, depth_m),
+    )
 
 
 def _centre_depth(box: Array, depth_m: Array32) -> float:
@@ -324,39 +242,24 @@ def frame_of(picture: LabelledPicture, data: DataSet, depth_m: Array32 | None) -
     depth_m : ndarray of float32, shape (H, W), optional
         Depth in metres, for the distance of fruit without the label 'distance_m'.
     """
-    true_fruit = []
+    true = []
     for label in picture.labels:
         name = data.categories[label.category].lower()
         # A single class is the fruit, regardless of its name.
         fruit, optional = len(data.categories) == 1 or name == _FRUIT, name == _ALSO_FRUIT
         if fruit or optional or label.ignore:
-            true_fruit.append(replace(_true_fruit(label, depth_m), optional=optional))
+            distance_m = _distance_m(label, depth_m)
+            true.append(replace(label, optional=optional, distance_m=distance_m))
     scene = picture.scene or picture.file
-    return Frame(picture.file, scene, picture.width, picture.height, tuple(true_fruit))
+    return Frame(picture.file, scene, picture.width, picture.height, tuple(true))
 
 
-def _true_fruit(label: Label, depth_m: Array32 | None) -> TrueFruit:
-    mask = label.mask_code
-    code = None if mask is None else {"size": [mask.height, mask.width], "counts": mask.counts}
-    extras = label.extras
-    distance = extras.get("distance_m")
-    if distance is None and depth_m is not None and mask is not None:
-        read = depth_m[mask.decode()]
-        read = read[read > 0]
-        distance = float(np.median(read)) if read.size else None
-    return TrueFruit(
-        label.box,
-        code,
-        label.keypoints,
-        label.ignore,
-        hidden_share=math.nan if label.hidden_share is None else label.hidden_share,
-        cut_off=label.cut_off,
-        distance_m=math.nan if distance is None else float(distance),
-        centreline_m=extras.get("centreline_m"),
-        thread_m=extras.get("thread_m"),
-        chord_m=extras.get("chord_m"),
-        axis_m=np.array(extras["axis_m"]) if "axis_m" in extras else None,
-    )
+def _distance_m(label: Label, depth_m: Array32 | None) -> float:
+    if "distance_m" in label.extras or depth_m is None or label.mask_code is None:
+        return float(label.extras.get("distance_m", math.nan))
+    read = depth_m[label.mask_code.decode()]
+    read = read[read > 0]
+    return float(np.median(read)) if read.size else math.nan
 
 
 def capture_of(picture: LabelledPicture, data: DataSet, color: Pixels) -> Capture | None:

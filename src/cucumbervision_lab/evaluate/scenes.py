@@ -15,13 +15,12 @@ from scipy.stats import chi2
 from cucumbervision.capture.pictures import read_color
 from cucumbervision.errors import ModelError
 from cucumbervision.fruit.instance import Instance, MaskSource
-from cucumbervision.fruit.mask_codes import decode_rle
 from cucumbervision.fruit.masks import box_ious, box_of_mask, mask_iou, share_inside
 from cucumbervision.methods.pose import Part, stem_first
 from cucumbervision.methods.selector import measure_fruit
 from cucumbervision.networks.confidence import DEFAULT_CONFIDENCE
 from cucumbervision.networks.registry import load_registry
-from cucumbervision_lab.arrays import Array, Mask
+from cucumbervision_lab.arrays import Array
 from cucumbervision_lab.data.labels import ticked
 from cucumbervision_lab.evaluate.benchmark import (
     fit_interval_models,
@@ -62,7 +61,7 @@ if TYPE_CHECKING:
     from cucumbervision.methods.result import Fruit
     from cucumbervision_lab.data.labels import DataSet, LabelledPicture
     from cucumbervision_lab.evaluate.measure_case import LengthRecord
-    from cucumbervision_lab.evaluate.pictures import Frame, TrueFruit
+    from cucumbervision_lab.evaluate.pictures import Frame
 
     Report = Callable[[str, int, int], None]
 
@@ -236,7 +235,7 @@ def length_records(
     """
     records = []
     for number, fruit in enumerate(frame.true):
-        if not fruit.required or fruit.code is None or fruit.centreline_m is None:
+        if not fruit.required or fruit.mask_code is None or "centreline_m" not in fruit.extras:
             continue
         instance = perceived.get(number)
         records.append(_record(frame, number, capture, _true_instance(frame, number), Masks.EXACT))
@@ -246,16 +245,12 @@ def length_records(
 
 def _true_instance(frame: Frame, number: int) -> Instance:
     fruit = frame.true[number]
-    mask = _true_mask(fruit)
+    mask = fruit.mask
+    assert mask is not None
     points = None
     if fruit.keypoints is not None:
         points = np.column_stack([fruit.keypoints[:, :2], fruit.keypoints[:, 2] == 2])
     return Instance(box_of_mask(mask), mask=mask, mask_source=MaskSource.DATASET, keypoints=points)
-
-
-def _true_mask(fruit: TrueFruit) -> Mask:
-    code = fruit.code or {}
-    return decode_rle(code["counts"], *code["size"])
 
 
 def pose_errors(pose: FruitPose, axis_m: Array) -> dict[str, Any]:
@@ -329,29 +324,30 @@ def _record(
     details["cut_off"] = bool(fruit.cut_off)
     details["selected"] = None
     fill = None
-    if instance is not None:
+    if instance is not None and fruit.mask is not None:
         measured = measure_fruit(replace(capture, gravity=None), instance)
         lengths.update(fruit_lengths(measured, capture)[0])
         details["selected"] = str(measured.selected.method) if measured.selected else None
         details["flags"] = list(measured.flags)
-        details["mask_iou"] = mask_iou(instance.mask, _true_mask(fruit))
+        details["mask_iou"] = mask_iou(instance.mask, fruit.mask)
         details |= interval_details(measured)
-        if measured.pose is not None and fruit.axis_m is not None:
-            details |= pose_errors(measured.pose, fruit.axis_m)
-            details |= _with_gravity(measured, fruit.axis_m, capture, details["swapped"])
+        if measured.pose is not None and "axis_m" in fruit.extras:
+            axis_m = np.array(fruit.extras["axis_m"])
+            details |= pose_errors(measured.pose, axis_m)
+            details |= _with_gravity(measured, axis_m, capture, details["swapped"])
         fill = measured.fill
     return LengthRecord(
         case=f"{frame.name}#{number}",
         suite="detection",
         masks=masks,
         fruit=f"{frame.name}#{number}",
-        centreline_m=fruit.centreline_m,
-        thread_m=fruit.thread_m,
-        chord_m=fruit.chord_m,
+        centreline_m=fruit.extras.get("centreline_m"),
+        thread_m=fruit.extras.get("thread_m"),
+        chord_m=fruit.extras.get("chord_m"),
         distance_m=fruit.distance_m,
         tilt_deg=float("nan"),
         bend_radius_m=None,
-        hidden_share=fruit.hidden_share,
+        hidden_share=float("nan") if fruit.hidden_share is None else fruit.hidden_share,
         fill=float("nan") if fill is None else fill,
         lengths_m=lengths,
         details=details,

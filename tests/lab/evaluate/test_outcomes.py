@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from cucumbervision.fruit.mask_codes import Rle
+from cucumbervision_lab.data.labels import Label
 from cucumbervision_lab.evaluate.outcomes import match_boxes
 
 pytest.importorskip("pycocotools")
@@ -21,13 +23,7 @@ from cucumbervision_lab.evaluate.outcomes import (
     group_scores,
     overall,
 )
-from cucumbervision_lab.evaluate.pictures import (
-    DetectedFruit,
-    Frame,
-    TrueFruit,
-    detected_fruit,
-    encode_mask,
-)
+from cucumbervision_lab.evaluate.pictures import Frame, detected_label
 
 BOX = np.array([99.5, 99.5, 199.5, 119.5])
 AWAY = BOX + np.array([0, 200, 0, 200])
@@ -35,10 +31,7 @@ LINE = np.column_stack([np.linspace(100, 200, 5), np.full(5, 110.0), np.full(5, 
 
 
 def frame(
-    true: list[TrueFruit],
-    found: list[DetectedFruit],
-    name: str = "a",
-    posed: tuple[DetectedFruit, ...] = (),
+    true: list[Label], found: list[Label], name: str = "a", posed: tuple[Label, ...] = ()
 ) -> Frame:
     return Frame(name, name, 640, 480, tuple(true), (), posed, tuple(found))
 
@@ -50,10 +43,10 @@ def mask(left: int, right: int) -> NDArray[np.bool_]:
 
 
 def test_what_becomes_of_a_fruit() -> None:
-    true = TrueFruit(
-        BOX, encode_mask(mask(100, 200)), hidden_share=0.2, cut_off=False, distance_m=0.6
+    true = Label(
+        BOX, mask_code=Rle.of(mask(100, 200)), hidden_share=0.2, cut_off=False, distance_m=0.6
     )
-    fruit = DetectedFruit(BOX + np.array([20, 0, 20, 0]), 0.8, encode_mask(mask(150, 200)))
+    fruit = Label(BOX + np.array([20, 0, 20, 0]), mask_code=Rle.of(mask(150, 200)), score=0.8)
     rows = fruit_rows([frame([true, replace(true, box=AWAY)], [fruit])], 0.3)
     hit, miss = rows.itertuples()
     # 80 of 120 pixels of the boxes' length are common, and half of the mask.
@@ -67,11 +60,11 @@ def test_what_becomes_of_a_fruit() -> None:
 
 def test_what_becomes_of_a_detection() -> None:
     at_edge = np.array([-0.5, 300, 80, 340])
-    true = [TrueFruit(BOX), TrueFruit(AWAY, ignore=True)]
+    true = [Label(BOX), Label(AWAY, ignore=True)]
     found = [
-        DetectedFruit(BOX, 0.9, distance_m=0.5),
-        DetectedFruit(AWAY, 0.8),
-        DetectedFruit(at_edge, 0.7),
+        Label(BOX, score=0.9, distance_m=0.5),
+        Label(AWAY, score=0.8),
+        Label(at_edge, score=0.7),
     ]
     rows = list(detection_rows([frame(true, found)], 0.3).itertuples())
     assert [row.outcome for row in rows] == ["hit", "neutral", "false"]
@@ -84,13 +77,13 @@ def test_distance_is_read_in_the_middle_of_the_box() -> None:
     depth = np.full((480, 640), 2.0, np.float32)
     depth[100:120, 133:167] = 0.7
     depth[110, 150] = 0.0
-    assert detected_fruit(Instance(BOX), depth).distance_m == pytest.approx(0.7)
-    assert math.isnan(detected_fruit(Instance(BOX)).distance_m)
-    assert math.isnan(detected_fruit(Instance(BOX), np.zeros((480, 640), np.float32)).distance_m)
+    assert detected_label(Instance(BOX), depth).distance_m == pytest.approx(0.7)
+    assert math.isnan(detected_label(Instance(BOX)).distance_m)
+    assert math.isnan(detected_label(Instance(BOX), np.zeros((480, 640), np.float32)).distance_m)
 
 
-def posed(points: NDArray[np.float64]) -> list[DetectedFruit]:
-    return [DetectedFruit(BOX, 0.9, None, points)]
+def posed(points: NDArray[np.float64]) -> list[Label]:
+    return [Label(BOX, keypoints=points, score=0.9)]
 
 
 def test_ends_are_judged_in_percent_of_the_line() -> None:
@@ -99,39 +92,37 @@ def test_ends_are_judged_in_percent_of_the_line() -> None:
     points[4, :2] += (3.0, 4.0)
     true = LINE.copy()
     true[4, 2] = 1
-    (row,) = end_rows([frame([TrueFruit(BOX, keypoints=true)], posed(points))], 0.3).itertuples()
+    (row,) = end_rows([frame([Label(BOX, keypoints=true)], posed(points))], 0.3).itertuples()
     assert row.length_px == pytest.approx(100.0)
     assert (row.blossom_percent, row.stem_percent) == pytest.approx((3.0, 5.0))
     assert (row.blossom_seen, row.stem_seen, row.swapped) == (True, False, False)
 
 
 def test_swapped_ends_are_judged_as_they_are() -> None:
-    (row,) = end_rows(
-        [frame([TrueFruit(BOX, keypoints=LINE)], posed(LINE[::-1]))], 0.3
-    ).itertuples()
+    (row,) = end_rows([frame([Label(BOX, keypoints=LINE)], posed(LINE[::-1]))], 0.3).itertuples()
     assert (row.swapped, row.blossom_percent, row.stem_percent) == (True, 100.0, 100.0)
 
 
 def test_an_end_outside_the_picture_is_not_judged() -> None:
     true = LINE.copy()
     true[4] = (700.0, 110.0, 0.0)  # known to be outside
-    (row,) = end_rows([frame([TrueFruit(BOX, keypoints=true)], posed(LINE))], 0.3).itertuples()
+    (row,) = end_rows([frame([Label(BOX, keypoints=true)], posed(LINE))], 0.3).itertuples()
     assert row.length_px == pytest.approx(600.0)
     assert math.isnan(row.stem_percent)
     assert (row.blossom_percent, row.swapped) == (0.0, None)
     true[4] = 0.0  # nobody knows where
-    assert end_rows([frame([TrueFruit(BOX, keypoints=true)], posed(LINE))], 0.3).empty
+    assert end_rows([frame([Label(BOX, keypoints=true)], posed(LINE))], 0.3).empty
 
 
 def test_recall_and_precision_by_group() -> None:
     pictures = []
     for k in range(10):
-        near = TrueFruit(BOX, hidden_share=0.0, cut_off=False, distance_m=0.4)
-        far = TrueFruit(AWAY, hidden_share=0.4, cut_off=True, distance_m=1.0)
-        found = [DetectedFruit(BOX, 0.9, distance_m=0.4)]
+        near = Label(BOX, hidden_share=0.0, cut_off=False, distance_m=0.4)
+        far = Label(AWAY, hidden_share=0.4, cut_off=True, distance_m=1.0)
+        found = [Label(BOX, score=0.9, distance_m=0.4)]
         # Every second far fruit is found; in every fifth picture a far leaf is taken for one.
-        found += [DetectedFruit(AWAY, 0.8, distance_m=1.0)] if k % 2 else []
-        stray = DetectedFruit(BOX + np.array([300, 0, 300, 0]), 0.5, distance_m=1.0)
+        found += [Label(AWAY, score=0.8, distance_m=1.0)] if k % 2 else []
+        stray = Label(BOX + np.array([300, 0, 300, 0]), score=0.5, distance_m=1.0)
         pictures.append(frame([near, far], found + ([stray] if k % 5 == 0 else []), f"{k}"))
     fruit, found_too = fruit_rows(pictures, 0.3), detection_rows(pictures, 0.3)
     whole = overall(fruit, found_too)

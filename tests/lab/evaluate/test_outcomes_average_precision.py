@@ -10,8 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 
 pytest.importorskip("pycocotools")
 
+from cucumbervision.fruit.mask_codes import Rle
+from cucumbervision_lab.data.labels import Label
 from cucumbervision_lab.evaluate.outcomes import OKS_SIGMA, IouType, average_precision
-from cucumbervision_lab.evaluate.pictures import DetectedFruit, Frame, Stage, TrueFruit, encode_mask
+from cucumbervision_lab.evaluate.pictures import Frame, Stage
 
 SIZE = (200, 300)  # height, width
 
@@ -33,17 +35,15 @@ def line(box: NDArray[np.float64], shift: float = 0.0) -> NDArray[np.float64]:
     return np.column_stack([u, np.full(5, (box[1] + box[3]) / 2 + shift), np.full(5, 2.0)])
 
 
-def true(box: NDArray[np.float64], *, ignore: bool = False) -> TrueFruit:
-    return TrueFruit(box, encode_mask(rectangle(box)), line(box), ignore)
+def true(box: NDArray[np.float64], *, ignore: bool = False) -> Label:
+    return Label(box, mask_code=Rle.of(rectangle(box)), keypoints=line(box), ignore=ignore)
 
 
-def seen(box: NDArray[np.float64], score: float, shift: float = 0.0) -> DetectedFruit:
-    return DetectedFruit(box, score, encode_mask(rectangle(box)), line(box, shift))
+def seen(box: NDArray[np.float64], score: float, shift: float = 0.0) -> Label:
+    return Label(box, mask_code=Rle.of(rectangle(box)), keypoints=line(box, shift), score=score)
 
 
-def frame(
-    fruit: list[TrueFruit], found: list[DetectedFruit], name: str = "a", scene: str = ""
-) -> Frame:
+def frame(fruit: list[Label], found: list[Label], name: str = "a", scene: str = "") -> Frame:
     best = tuple(sorted(found, key=lambda one: -one.score))
     return Frame(name, scene or name, SIZE[1], SIZE[0], tuple(fruit), best, best, best)
 
@@ -97,7 +97,7 @@ def test_what_lies_in_an_ignored_region_counts_neither_way(iou_type: IouType) ->
 
 
 def test_fruit_without_mask_is_not_judged_by_masks() -> None:
-    bare = TrueFruit(B)
+    bare = Label(B)
     pictures = [frame([true(A), bare], [seen(A, 0.9), seen(B, 0.95)])]
     assert average_precision(pictures, IouType.MASKS).map50 == pytest.approx(1.0)
     assert average_precision(pictures, IouType.MASKS).fruit == 1
@@ -106,7 +106,7 @@ def test_fruit_without_mask_is_not_judged_by_masks() -> None:
 
 
 def test_detection_without_mask_is_a_false_mask() -> None:
-    pictures = [frame([true(A)], [DetectedFruit(A, 0.9)])]
+    pictures = [frame([true(A)], [Label(A, score=0.9)])]
     assert average_precision(pictures, IouType.MASKS).map50 == 0.0
     assert average_precision(pictures, IouType.BOXES).map50 == pytest.approx(1.0)
 

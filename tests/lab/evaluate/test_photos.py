@@ -13,27 +13,28 @@ pytest.importorskip("pycocotools")
 
 from cucumbervision.capture.pictures import write_png
 from cucumbervision.fruit.instance import Instance
+from cucumbervision_lab.data.labels import Label
 from cucumbervision_lab.evaluate.outcomes import end_rows
 from cucumbervision_lab.evaluate.photos import Photo, PhotoResult, audited_photos, evaluate_photos
 from cucumbervision_lab.evaluate.picture_result import Networks
-from cucumbervision_lab.evaluate.pictures import DetectedFruit, Frame, TrueFruit
+from cucumbervision_lab.evaluate.pictures import Frame
 from cucumbervision_lab.evaluate.report import photo_tables
 
 ENDS = ("blossom end", "stem end")
 SPOTS = [np.array([0.0, 30 * k, 90, 30 * k + 20]) for k in range(8)]
 
 
-def photo(name: str, scene: str, true: list[TrueFruit], *found: int) -> Frame:
-    seen = tuple(DetectedFruit(SPOTS[k], 0.9 - 0.1 * k) for k in found)
+def photo(name: str, scene: str, true: list[Label], *found: int) -> Frame:
+    seen = tuple(Label(SPOTS[k], score=0.9 - 0.1 * k) for k in found)
     return Frame(name, scene, 300, 300, tuple(true), kept=seen)
 
 
 def scored() -> PhotoResult:
-    cucumber, courgette = TrueFruit(SPOTS[0]), TrueFruit(SPOTS[1], optional=True)
-    crate = TrueFruit(np.array([0.0, 60, 300, 115]), ignore=True)
+    cucumber, courgette = Label(SPOTS[0]), Label(SPOTS[1], optional=True)
+    crate = Label(np.array([0.0, 60, 300, 115]), ignore=True)
     frames = (
         photo("a.jpg", "one", [cucumber, courgette, crate], 0, 1, 2, 3),
-        photo("b.jpg", "one", [cucumber, TrueFruit(SPOTS[5])], 0),
+        photo("b.jpg", "one", [cucumber, Label(SPOTS[5])], 0),
         photo("c.jpg", "two", [cucumber], 0, 4),
         photo("d.jpg", "three", [], 6),
     )
@@ -82,7 +83,7 @@ def test_small_fruit_are_the_same_photos_at_half_size(tmp_path: Path) -> None:
     color = np.full((60, 80, 3), 114, np.uint8)
     color[20:30, 10:50] = 30
     write_png(tmp_path / "a.png", color)
-    true = (TrueFruit(np.array([9.5, 19.5, 49.5, 29.5])),)
+    true = (Label(np.array([9.5, 19.5, 49.5, 29.5])),)
     photos = [
         Photo(Frame("a.png", "one", 80, 60, true), tmp_path / "a.png", "plant", "on the plant"),
         Photo(Frame("a.png", "two", 80, 60), tmp_path / "a.png", "none", "negatives"),
@@ -104,9 +105,9 @@ def test_small_fruit_are_the_same_photos_at_half_size(tmp_path: Path) -> None:
 
 def test_ends_on_photos_are_judged_by_the_straight_line_between_them() -> None:
     line = np.linspace([10.0, 10.0], [110.0, 10.0], 5)
-    true = TrueFruit(SPOTS[0], keypoints=np.column_stack([line, [2.0, 0, 0, 0, 2]]))
+    true = Label(SPOTS[0], keypoints=np.column_stack([line, [2.0, 0, 0, 0, 2]]))
     points = np.column_stack([line + np.array([0.0, 3.0]), np.ones(5)])
-    fruit = DetectedFruit(SPOTS[0], 0.9, keypoints=points)
+    fruit = Label(SPOTS[0], score=0.9, keypoints=points)
     frame = Frame("a.jpg", "one", 300, 300, (true,), posed=(fruit,), kept=(fruit,))
     found = PhotoResult(0.25, (Photo(frame, Path("a.jpg"), "trial", "first audit"),), (frame,))
     (row,) = end_rows(found.frames, 0.25).itertuples()

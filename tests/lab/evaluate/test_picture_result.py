@@ -14,6 +14,7 @@ from cucumbervision.networks.find import Detectors
 from cucumbervision.networks.loaded import NetworkLoader
 from cucumbervision.networks.registry import load_registry
 from cucumbervision.networks.yolo import YoloDetector
+from cucumbervision_lab.data.labels import Label
 from cucumbervision_lab.evaluate.picture_result import (
     Networks,
     detect_picture,
@@ -21,7 +22,7 @@ from cucumbervision_lab.evaluate.picture_result import (
     merge_detections,
     open_networks,
 )
-from cucumbervision_lab.evaluate.pictures import Frame, TrueFruit
+from cucumbervision_lab.evaluate.pictures import Frame
 from cucumbervision_lab.evaluate.scenes import chosen_networks
 
 
@@ -106,8 +107,8 @@ def test_of_low_confidence_is_ranked_and_not_reported() -> None:
         Instance(box_of_mask(sure), 0.9, detector_mask=sure),
         Instance(box_of_mask(unsure), 0.05, detector_mask=unsure),
     )
-    heap = TrueFruit(np.array([80.0, 0.0, 119.0, 8.0]), ignore=True)
-    labels = (heap, *(TrueFruit(box_of_mask(mask)) for mask in (unsure, sure)))
+    heap = Label(np.array([80.0, 0.0, 119.0, 8.0]), ignore=True)
+    labels = (heap, *(Label(box_of_mask(mask)) for mask in (unsure, sure)))
     networks = Networks(cast(YoloDetector, replay), None, None, 0.3)
     frame = Frame("a.png", "a", 120, 40, labels)
     result = detect_picture(frame, np.zeros((40, 120, 3), np.uint8), networks)

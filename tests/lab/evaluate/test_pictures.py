@@ -90,7 +90,6 @@ def test_distance_comes_from_the_label_or_else_from_depth() -> None:
     for label, distance in ((told, 0.61), (replace(told, extras={}), 0.6)):
         (fruit,) = frame_of(picture("a", label), data, depth).true
         assert fruit.distance_m == pytest.approx(distance)
-    assert frame_of(picture("a", told), data, depth).true[0].centreline_m == 0.2
     assert np.isnan(frame_of(picture("a", replace(told, extras={})), data, None).true[0].distance_m)
 
 

@@ -14,7 +14,7 @@ from cucumbervision.networks.registry import load_registry, use_network
 from cucumbervision_lab.data.coco import read_coco, write_coco
 from cucumbervision_lab.data.labels import DataSet, Label, LabelledPicture
 from cucumbervision_lab.evaluate.outcomes import detection_rows, fruit_rows, overall
-from cucumbervision_lab.evaluate.pictures import Frame, TrueFruit
+from cucumbervision_lab.evaluate.pictures import Frame
 from cucumbervision_lab.train.house import DetectorScore, held_out_set, mixed, train_house, verdict
 from cucumbervision_lab.train.network import TrainOptions
 
@@ -76,7 +76,7 @@ def test_better_is_better_on_the_house_and_not_worse_elsewhere(
 
 
 def test_a_network_that_finds_nothing_is_no_better() -> None:
-    frames = [Frame("a.jpg", "s", 60, 60, (TrueFruit(np.array([0.0, 0, 50, 10])),))]
+    frames = [Frame("a.jpg", "s", 60, 60, (Label(np.array([0.0, 0, 50, 10])),))]
     blind = DetectorScore.of("house", overall(fruit_rows(frames, 0.3), detection_rows(frames, 0.3)))
     assert blind == DetectorScore("house", 0.0, 0.0, 1, 0)
     assert verdict([HOUSE, DRAWN], [blind, DRAWN])[0] is False

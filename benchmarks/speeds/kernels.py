@@ -25,7 +25,7 @@ from cucumbervision.methods.result import MethodName
 from cucumbervision.methods.table import Region, run_methods
 from cucumbervision.run.batch import in_process
 from cucumbervision.tube.compiled import kernel_name
-from cucumbervision_lab.evaluate.baselines import BASELINES, Baseline, available_baselines
+from cucumbervision_lab.evaluate.measure_case import BASELINES, Baseline, available_baselines
 from cucumbervision_lab.scenes.bodies import arc_tube, rotation
 from cucumbervision_lab.scenes.depth_camera import D4xx, sense
 from cucumbervision_lab.scenes.scene import Scene, render

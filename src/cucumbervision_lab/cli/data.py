@@ -196,7 +196,7 @@ def from_photos(
 ) -> None:
     """Write the audited photos, except those of test scenes, as a labelled set with masks."""
     from cucumbervision_lab.cli.screen import show
-    from cucumbervision_lab.train.data import photo_set
+    from cucumbervision_lab.train.network import photo_set
 
     made = photo_set(folder, out, as_d435=d435)
     show(f"{len(made.pictures)} photos are in {out}")

@@ -82,7 +82,7 @@ def evaluate_photos(
     from cucumbervision_lab.cli.screen import show, show_tables, ticking
     from cucumbervision_lab.evaluate.photos import audited_photos
     from cucumbervision_lab.evaluate.photos import evaluate_photos as evaluate
-    from cucumbervision_lab.evaluate.picture_result import open_networks
+    from cucumbervision_lab.evaluate.pictures import open_networks
     from cucumbervision_lab.evaluate.report import photo_tables, write_photo_report
     from cucumbervision_lab.evaluate.scenes import chosen_networks
 

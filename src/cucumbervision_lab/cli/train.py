@@ -73,8 +73,7 @@ def network(
 ) -> None:
     """Train a detector by Ultralytics: boxes with masks, or with keypoints."""
     from cucumbervision_lab.cli.screen import show
-    from cucumbervision_lab.train.data import open_sets
-    from cucumbervision_lab.train.network import NETWORK, TrainOptions, train
+    from cucumbervision_lab.train.network import NETWORK, TrainOptions, open_sets, train
 
     # A training that goes on has its data in RUN.
     read = [] if (out / NETWORK).is_file() else open_sets(sets)

@@ -30,12 +30,12 @@ from cucumbervision_lab.data.labels import (
     flat_names,
     labels_of,
     list_pictures,
+    one_polygon,
     picture_size,
     place_file,
     ticked,
     write_text,
 )
-from cucumbervision_lab.data.polygons import one_polygon
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -286,15 +286,9 @@ _MASK_WORDS = {
 _GROUPED_TRUTHS = (LengthDefinition.CENTRELINE, LengthDefinition.THREAD)
 _GROUPED_CAPTURES = 10  # minimum number of captures for groups
 
-_GLANCE = (
-    *("part", "outlines", "measurements", "fruit", "M6 centreline MAPE (%)", "worst (%):.1"),
-    *("measured (%):.1", "M6 thread MAPE (%)"),
-    *("M5 against centreline, MAPE (%)", "M5 against thread, MAPE (%)"),
-)
-
 
 def benchmark_tables(readings: pd.DataFrame) -> list[ReportTable]:
-    """Return all tables of a benchmark: beside the paper, at a glance, then by suite and masks.
+    """Return all tables of a benchmark: beside the paper, then by suite and masks.
 
     Parameters
     ----------
@@ -309,7 +303,7 @@ def benchmark_tables(readings: pd.DataFrame) -> list[ReportTable]:
     if readings.empty:
         raise CucumberVisionError("nothing to report", remedy="measure at least one fruit first")
     paper = paper_table(readings)
-    tables = [*([paper] if paper else ()), glance_table(readings)]
+    tables = [paper] if paper else []
     for suite, masks, part in _parts(readings):
         part_tables = [accuracy_table(part, truth) for truth in truths_of(part)]
         if part["case"].nunique() >= _GROUPED_CAPTURES:
@@ -318,42 +312,6 @@ def benchmark_tables(readings: pd.DataFrame) -> list[ReportTable]:
         where = f"{_SUITES[suite]}, {_MASK_WORDS[masks]}"
         tables += [replace(table, title=f"{where}: {table.title}") for table in part_tables]
     return tables
-
-
-def glance_table(readings: pd.DataFrame) -> ReportTable:
-    """Return a summary of M6 and the paper's M5 by suite and kind of masks.
-
-    Parameters
-    ----------
-    readings : DataFrame
-        See `benchmark_tables`.
-    """
-    rows: list[tuple[Cell, ...]] = []
-    for suite, masks, part in _parts(readings):
-        scored = {truth: comparable_readings(part, truth) for truth in _GROUPED_TRUTHS}
-        mape = {
-            (truth, str(method)): float(percent.mean())
-            for truth, frame in scored.items()
-            for method, percent in frame.groupby("method", observed=True)["error_percent"]
-        }
-        read = scored[LengthDefinition.CENTRELINE].query("method == 'M6'")
-        tube = score(read["length_m"], read["true_m"]) if len(read) else None
-        rows.append(
-            (
-                _SUITES[suite],
-                _MASK_WORDS[masks],
-                part["case"].nunique(),
-                part["fruit"].nunique(),
-                tube.mape_percent if tube else None,
-                tube.worst_percent if tube else None,
-                100 * tube.measured if tube else None,
-                mape.get((LengthDefinition.THREAD, "M6 thread")),
-                mape.get((LengthDefinition.CENTRELINE, "M5")),
-                mape.get((LengthDefinition.THREAD, "M5")),
-            )
-        )
-    comment = "Mean error in percent of the true length; a fruit not measured counts as 100 %."
-    return ReportTable.of("At a glance", _GLANCE, rows, comment)
 
 
 def _parts(readings: pd.DataFrame) -> list[tuple[Suite, Masks, pd.DataFrame]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from enum import StrEnum
 from importlib.util import find_spec
@@ -10,17 +11,20 @@ from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import dijkstra
 
+from cucumbervision.capture.frames import valid_depth
+from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.errors import CucumberVisionError, MissingExtraError, wrap_reader_errors
 from cucumbervision.files import parse_model, read_text
 from cucumbervision.fruit.instance import Instance, MaskSource
-from cucumbervision.fruit.masks import box_iou, box_of_mask, distances_inside, mask_iou
+from cucumbervision.fruit.masks import box_iou, box_of_mask, distances_inside, mask_iou, mask_window
 from cucumbervision.methods.intervals import mask_features, tube_features
 from cucumbervision.methods.result import MethodName, Selector
 from cucumbervision.methods.selector import choose, measure_fruit
 from cucumbervision.methods.table import AVAILABLE, masked_points
 from cucumbervision_lab.arrays import Array, Array32, Generator, Mask
-from cucumbervision_lab.evaluate.baselines import available_baselines
 from cucumbervision_lab.evaluate.cases import Simulated, simulate
 
 if TYPE_CHECKING:
@@ -35,7 +39,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     import pandas as pd
-
 
 _NUMBERS = (
     *("centreline_m", "thread_m", "chord_m", "distance_m", "tilt_deg", "bend_radius_m"),
@@ -428,3 +431,137 @@ def interval_details(fruit: Fruit) -> dict[str, Any]:
 def _chord_tilt_deg(axis_m: Sequence[Array] | Array) -> float:
     run = np.asarray(axis_m[-1]) - np.asarray(axis_m[0])
     return float(np.rad2deg(np.arcsin(min(1.0, abs(run[2]) / np.linalg.norm(run)))))
+
+
+Baseline = Callable[[Array32, Mask, Intrinsics], float | None]
+
+_HALF_WINDOW_PX = 2  # median of a 5x5 window, as in M4
+_SMOOTH_PX = 41  # maximum window of the smoothing along the path
+_MIN_PATH_PX = 5
+
+
+def skan_length(depth_m: Array32, mask: Mask, intrinsics: Intrinsics) -> float | None:
+    """Compute the 3D length of a mask's longest shortest skeleton path by skan.
+
+    Parameters
+    ----------
+    depth_m : ndarray of float32, shape (H, W)
+        Metres, aligned to colour; 0 is no reading.
+    mask : ndarray of bool, shape (H, W)
+        Mask of the fruit.
+    intrinsics : Intrinsics
+        Intrinsics of the colour stream.
+
+    Returns
+    -------
+    float or None
+        Length in metres; None without a path.
+
+    Raises
+    ------
+    MissingExtraError
+        If skan or scikit-image is not installed.
+
+    Notes
+    -----
+    `skimage.morphology.skeletonize`, then the longest of the shortest paths of the graph by
+    `skan.csr.skeleton_to_csgraph` (Nunez-Iglesias et al. 2018, PeerJ 6:e4312).
+    """
+    try:
+        import skan
+        from skimage.morphology import skeletonize
+    except ImportError:
+        raise MissingExtraError("skan", "benchmark") from None
+    window = mask_window(mask)
+    if window is None:
+        return None
+    thin = skeletonize(mask[window])  # type: ignore[no-untyped-call,unused-ignore]
+    if np.count_nonzero(thin) < _MIN_PATH_PX:
+        return None
+    graph, (rows, columns) = skan.csr.skeleton_to_csgraph(thin)
+    distances, before = dijkstra(graph, directed=False, return_predecessors=True)
+    distances[np.isinf(distances)] = -1  # of another part of the mask
+    start, node = divmod(int(distances.argmax()), len(distances))
+    path = [node]
+    while node != start:
+        node = int(before[start, node])
+        path.append(node)
+    corner = [window[1].start, window[0].start]
+    path_px = np.column_stack([columns[path], rows[path]]) + corner
+    return lifted_length(path_px, depth_m, mask, intrinsics)
+
+
+BASELINES: dict[str, Baseline] = {"skan": skan_length}
+
+
+def available_baselines() -> dict[str, Baseline]:
+    """Return the baselines whose packages are installed.
+
+    Examples
+    --------
+    >>> set(available_baselines()) <= {"skan"}
+    True
+    """
+    needs = {"skan": ("skan", "skimage")}
+    return {
+        name: function
+        for name, function in BASELINES.items()
+        if all(find_spec(package) for package in needs.get(name, ()))
+    }
+
+
+def lifted_length(
+    path_px: NDArray[Any], depth_m: Array32, mask: Mask, intrinsics: Intrinsics
+) -> float | None:
+    """Compute the 3D length of a path of pixels.
+
+    Each pixel is deprojected with the median of the valid readings of the mask in a 5x5 window;
+    missing values are interpolated along the path. The points are smoothed along the path by a
+    Savitzky-Golay filter (second order, at most 41 px), which removes the staircase of pixels and
+    depth noise but keeps the ends. Without smoothing, a diagonal path would be up to 8 % too long.
+
+    Parameters
+    ----------
+    path_px : ndarray, shape (N, 2)
+        Pixels (u, v) in order.
+    depth_m, mask, intrinsics
+        See `skan_length`.
+
+    Returns
+    -------
+    float or None
+        Metres; None for fewer than 5 pixels or without a valid reading.
+
+    Examples
+    --------
+    >>> camera = Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0)
+    >>> depth = np.full((480, 640), 0.6, np.float32)
+    >>> path = np.stack([np.arange(200, 401), np.full(201, 240)], axis=1)
+    >>> round(lifted_length(path, depth, depth > 0, camera), 6)
+    0.2
+    """
+    from scipy.signal import savgol_filter
+
+    if len(path_px) < _MIN_PATH_PX:
+        return None
+    z = _depth_along(path_px.astype(int), np.where(mask & valid_depth(depth_m), depth_m, np.nan))
+    finite = np.isfinite(z)
+    if not finite.any():
+        return None
+    place = np.arange(len(z))
+    z = np.interp(place, place[finite], z[finite])
+    x, y = intrinsics.rays(path_px[:, 0].astype(float), path_px[:, 1].astype(float))
+    window = min(_SMOOTH_PX, len(z) - 1 + len(z) % 2)
+    points = savgol_filter(np.stack([x * z, y * z, z], axis=1), window, 2, axis=0)
+    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+
+
+def _depth_along(path_px: NDArray[Any], readings_m: NDArray[Any]) -> Array:
+    half = _HALF_WINDOW_PX
+    depth = np.full(len(path_px), np.nan)
+    for k, (u, v) in enumerate(path_px):
+        window_m = readings_m[max(v - half, 0) : v + half + 1, max(u - half, 0) : u + half + 1]
+        valid = window_m[np.isfinite(window_m)]
+        if valid.size:
+            depth[k] = np.median(valid)
+    return depth

@@ -24,14 +24,13 @@ from cucumbervision.fruit.masks import box_iou
 from cucumbervision_lab.arrays import Array, Pixels, Progress
 from cucumbervision_lab.data.labels import DataSet, Label, LabelledPicture, list_pictures, ticked
 from cucumbervision_lab.evaluate.outcomes import Score, detection_rows, fruit_rows, overall
-from cucumbervision_lab.evaluate.picture_result import detect_picture
-from cucumbervision_lab.evaluate.pictures import Frame
+from cucumbervision_lab.evaluate.pictures import Frame, detect_picture
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from cucumbervision_lab.evaluate.picture_result import Networks
+    from cucumbervision_lab.evaluate.pictures import Networks
 
 
 _AUDIT_FILES = ("photos_audit.json", "photos2_audit.json", "photos3_audit.json")

@@ -40,12 +40,15 @@ from cucumbervision_lab.evaluate.measure_case import (
     read_records,
     readings_frame,
 )
-from cucumbervision_lab.evaluate.outcomes import match_fruit
-from cucumbervision_lab.evaluate.picture_result import detect_picture, found_by_fruit, open_networks
+from cucumbervision_lab.evaluate.outcomes import match_detections, match_fruit
 from cucumbervision_lab.evaluate.pictures import (
+    PictureResult,
+    Stage,
     capture_of,
+    detect_picture,
     frame_of,
     import_pycocotools,
+    open_networks,
     read_held_out,
     spread,
 )
@@ -211,6 +214,12 @@ def evaluate_detection(
         seconds,
         time.perf_counter() - start,
     )
+
+
+def found_by_fruit(result: PictureResult, confidence: float) -> dict[int, Instance]:
+    """Return the reported instance of each detected fruit, by its index in `Frame.true`."""
+    matches, _, required = match_detections(result.frame, confidence, Stage.KEPT)
+    return {required[t]: result.kept[s] for t, s in matches.pairs}
 
 
 def length_records(

@@ -12,8 +12,7 @@ from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.tube.curve import arc_positions, points_along
 from cucumbervision_lab.arrays import Array, Array32, Generator, Pixels
 from cucumbervision_lab.scenes.appearance import random_style
-from cucumbervision_lab.scenes.color_camera import expose, random_exposure
-from cucumbervision_lab.scenes.colors import palette
+from cucumbervision_lab.scenes.colors import expose, palette, random_exposure
 from cucumbervision_lab.scenes.compose import HARD, PLAIN, Composition, Setting, compose
 from cucumbervision_lab.scenes.depth_camera import VGA, D4xx, sense
 from cucumbervision_lab.scenes.scene import render, truth_of

@@ -92,12 +92,7 @@ def shade(
     Returns
     -------
     ndarray of float32, shape (H, W, 3)
-        Linear RGB, input of `color_camera.expose`.
-
-    Raises
-    ------
-    ValueError
-        If the numbers of bodies in `style` and `scene` differ.
+        Linear RGB, input of `colors.expose`.
 
     Examples
     --------
@@ -113,7 +108,6 @@ def shade(
     >>> shade(scene, render(scene, camera), camera, style, Assets(), rng).shape
     (120, 160, 3)
     """
-    _check(scene, style)
     grid = ray_grid(camera)
     depth = view.depth_m.astype(np.float32)
     x, y = (g.astype(np.float32) for g in (grid.x, grid.y))
@@ -140,20 +134,6 @@ def shade(
             job.layers.albedo[pixels] = background[pixels]
             job.layers.far[pixels] = True
     return _lit(job)
-
-
-def _check(scene: Scene, style: Style) -> None:
-    for name, bodies, looks in (
-        ("fruit", scene.fruit, style.skins),
-        ("leaves", scene.leaves, style.leaf_colors),
-        ("leaves", scene.leaves, style.leaf_roles),
-        ("stems", scene.stems, style.stem_colors),
-        ("stems", scene.stems, style.stem_roles),
-        ("planes", scene.planes, style.materials),
-        ("planes", scene.planes, style.material_colors),
-    ):
-        if len(bodies) != len(looks):
-            raise ValueError(f"the style has {len(looks)} looks for {len(bodies)} {name}")
 
 
 def _bodies(view: View) -> list[tuple[int, int, NDArray[np.intp]]]:

@@ -20,6 +20,7 @@ from cucumbervision_lab.arrays import Array, Array32, Generator, Mask, Pixels, P
 from cucumbervision_lab.data.splits import is_held_out
 from cucumbervision_lab.evaluate.pictures import capture_of
 from cucumbervision_lab.scenes.covers import FruitPicture, cover_end
+from cucumbervision_lab.train.fruit_crops import Crops
 from cucumbervision_lab.train.measured_ends import (
     HELD_OUT,
     camera_of,
@@ -43,7 +44,7 @@ _MOVED_SD = 0.7  # radii that a further copy of each end of training is moved al
 
 
 @dataclass(frozen=True, eq=False)
-class EndCrops:
+class EndCrops(Crops):
     """Crops around the ends of measured fruit.
 
     Parameters
@@ -90,20 +91,6 @@ class EndCrops:
         fruit = [part.fruit + k for part, k in zip(parts, first, strict=False)]
         numbered = zip(parts, fruit, strict=True)
         return cls.stacked([replace(part, fruit=numbers) for part, numbers in numbered])
-
-    @classmethod
-    def stacked(cls, parts: Sequence[EndCrops]) -> EndCrops:
-        """Return several crops of the same fruit as one."""
-        return cls(
-            *(
-                np.concatenate([getattr(part, name) for part in parts])
-                for name in cls.__dataclass_fields__
-            )
-        )
-
-    def only(self, chosen: NDArray[Any]) -> EndCrops:
-        """Return some of the crops."""
-        return EndCrops(*(getattr(self, name)[chosen] for name in self.__dataclass_fields__))
 
 
 def moved_axis(axis_m: Array, by_m: float) -> Array:

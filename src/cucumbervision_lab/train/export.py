@@ -29,8 +29,14 @@ from cucumbervision.files import read_json
 from cucumbervision.networks.confidence import DETECTOR_SIZES_PX
 from cucumbervision.networks.registry import file_sha256
 from cucumbervision.networks.yolo_layout import ONE_TO_ONE_KEY, ORDER_KEY, SIZES_KEY
-from cucumbervision_lab.train.data import DATA_CARD, TASKS
-from cucumbervision_lab.train.network import BEGUN, NETWORK, import_ultralytics, load_yolo
+from cucumbervision_lab.train.network import (
+    BEGUN,
+    DATA_CARD,
+    NETWORK,
+    TASKS,
+    import_ultralytics,
+    load_yolo,
+)
 
 if TYPE_CHECKING:
     import onnx

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 from zlib import crc32
 
 import cv2
@@ -53,7 +53,22 @@ _FIELDS: dict[str, tuple[Any, tuple[int, ...]]] = {
 
 
 @dataclass(frozen=True, eq=False)
-class FruitCrops:
+class Crops:
+    """Arrays with an entry for each crop."""
+
+    def only(self, chosen: NDArray[Any]) -> Self:
+        """Return some of the crops."""
+        return type(self)(*(getattr(self, name)[chosen] for name in self.__dataclass_fields__))
+
+    @classmethod
+    def stacked(cls, parts: Sequence[Self]) -> Self:
+        """Return several crops as one."""
+        names = cls.__dataclass_fields__
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
+
+@dataclass(frozen=True, eq=False)
+class FruitCrops(Crops):
     """Crops around what a detector proposes.
 
     Parameters
@@ -88,16 +103,6 @@ class FruitCrops:
     is_fruit: Array32
     confidence: Array32
     held_out: Mask
-
-    def only(self, chosen: NDArray[Any]) -> FruitCrops:
-        """Return some of the crops."""
-        return FruitCrops(*(getattr(self, name)[chosen] for name in self.__dataclass_fields__))
-
-    @classmethod
-    def stacked(cls, parts: Sequence[FruitCrops]) -> FruitCrops:
-        """Return the crops of several sets as one."""
-        names = cls.__dataclass_fields__
-        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
 def collect_sets(

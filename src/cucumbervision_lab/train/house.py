@@ -19,14 +19,12 @@ from cucumbervision.networks.registry import JUDGEMENT, file_sha256, load_regist
 from cucumbervision_lab.data.coco import ANNOTATIONS, read_coco
 from cucumbervision_lab.evaluate.outcomes import Score, detection_rows, fruit_rows, overall
 from cucumbervision_lab.evaluate.photos import audited_photos, evaluate_photos
-from cucumbervision_lab.evaluate.picture_result import detect_set, open_networks
-from cucumbervision_lab.evaluate.pictures import spread
+from cucumbervision_lab.evaluate.pictures import detect_set, open_networks, spread
 from cucumbervision_lab.evaluate.scenes import chosen_networks
 from cucumbervision_lab.scenes.frame import FrameOptions
 from cucumbervision_lab.scenes.generate import SynthOptions, generate
-from cucumbervision_lab.train.data import photo_set
 from cucumbervision_lab.train.export import export_trained, write_card
-from cucumbervision_lab.train.network import TrainOptions, train
+from cucumbervision_lab.train.network import TrainOptions, photo_set, train
 
 if TYPE_CHECKING:
     from cucumbervision_lab.data.labels import DataSet

@@ -54,16 +54,12 @@ def records_of(make_record: MakeRecord) -> pd.DataFrame:
 
 def test_tables_of_each_suite_and_kind_of_masks(make_record: MakeRecord) -> None:
     tables = {table.title: table for table in benchmark_tables(records_of(make_record))}
-    assert list(tables)[:2] == [
-        "The paper's figures, on its own captures, beside this program's",
-        "At a glance",
-    ]
+    assert next(iter(tables)) == "The paper's figures, on its own captures, beside this program's"
     assert list(dict.fromkeys(title.split(": ")[0] for title in tables if ": " in title)) == [
         "The paper's protocol, exact outlines",
         "The five validation fruit, exact outlines",
         "The stress set, outlines disturbed by 1.5 px",
     ]
-    assert [row[2] for row in tables["At a glance"].rows] == [12, 2, 12]
     accuracy = tables["The paper's protocol, exact outlines: Accuracy against the centreline"]
     m5 = next(row for row in accuracy.rows if row[0] == "M5")
     assert m5[1:3] == (12, 4)  # captures, fruit

@@ -16,8 +16,7 @@ from cucumbervision.fruit.instance import Instance
 from cucumbervision_lab.data.labels import Label
 from cucumbervision_lab.evaluate.outcomes import end_rows
 from cucumbervision_lab.evaluate.photos import Photo, PhotoResult, audited_photos, evaluate_photos
-from cucumbervision_lab.evaluate.picture_result import Networks
-from cucumbervision_lab.evaluate.pictures import Frame
+from cucumbervision_lab.evaluate.pictures import Frame, Networks
 from cucumbervision_lab.evaluate.report import photo_tables
 
 ENDS = ("blossom end", "stem end")

@@ -59,8 +59,7 @@ QUICK = TrainOptions(epochs=2, size_px=64, batch=4, device="cpu")
 
 @pytest.fixture(scope="session")
 def seg_run(seg_set: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    from cucumbervision_lab.train.data import open_sets
-    from cucumbervision_lab.train.network import train
+    from cucumbervision_lab.train.network import open_sets, train
 
     run = tmp_path_factory.mktemp("run") / "seg"
     train("seg", open_sets([seg_set.parent]), run, "yolo26n-seg.yaml", QUICK)

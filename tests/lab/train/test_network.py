@@ -18,9 +18,8 @@ from tests.lab.train.conftest import QUICK
 from cucumbervision.errors import ModelError, TrainingError
 from cucumbervision.networks.runtime import open_network
 from cucumbervision.networks.yolo_layout import ORDER_KEY, SIZES_KEY
-from cucumbervision_lab.train.data import open_sets
 from cucumbervision_lab.train.export import export_trained
-from cucumbervision_lab.train.network import NETWORK, load_yolo, train
+from cucumbervision_lab.train.network import NETWORK, load_yolo, open_sets, train
 
 pytestmark = pytest.mark.train
 

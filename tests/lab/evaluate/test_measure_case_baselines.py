@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.errors import MissingExtraError
-from cucumbervision_lab.evaluate.baselines import Baseline, available_baselines, skan_length
+from cucumbervision_lab.evaluate.measure_case import Baseline, available_baselines, skan_length
 from cucumbervision_lab.scenes.bodies import Tube, arc_tube, rotation
 from cucumbervision_lab.scenes.scene import Scene, render
 

@@ -11,7 +11,7 @@ import yaml
 from cucumbervision.capture.pictures import read_color
 from cucumbervision.errors import DataSetError, TrainingError
 from cucumbervision_lab.data.labels import DataSet, Label
-from cucumbervision_lab.train.data import _with_axis_points, open_sets, write_training_data
+from cucumbervision_lab.train.network import _with_axis_points, open_sets, write_training_data
 
 
 def test_sets_are_written_once_and_count_as_often_as_given(seg_set: Path, tmp_path: Path) -> None:

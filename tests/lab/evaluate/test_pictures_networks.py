@@ -15,15 +15,14 @@ from cucumbervision.networks.loaded import NetworkLoader
 from cucumbervision.networks.registry import load_registry
 from cucumbervision.networks.yolo import YoloDetector
 from cucumbervision_lab.data.labels import Label
-from cucumbervision_lab.evaluate.picture_result import (
+from cucumbervision_lab.evaluate.pictures import (
+    Frame,
     Networks,
     detect_picture,
-    found_by_fruit,
     merge_detections,
     open_networks,
 )
-from cucumbervision_lab.evaluate.pictures import Frame
-from cucumbervision_lab.evaluate.scenes import chosen_networks
+from cucumbervision_lab.evaluate.scenes import chosen_networks, found_by_fruit
 
 
 class Replay:

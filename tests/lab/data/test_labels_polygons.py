@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.fruit.mask_codes import fill_polygon
 from cucumbervision.fruit.masks import box_of_mask
-from cucumbervision_lab.data.polygons import keypoints_of_mask, one_polygon
+from cucumbervision_lab.data.labels import keypoints_of_mask, one_polygon
 from cucumbervision_lab.scenes.bodies import random_fruit
 from cucumbervision_lab.scenes.placing import place_hanging
 from cucumbervision_lab.scenes.scene import Scene, truth_of

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cucumbervision_lab.scenes.color_camera import Exposure, expose, random_exposure
-from cucumbervision_lab.scenes.colors import to_linear
+from cucumbervision_lab.scenes.colors import Exposure, expose, random_exposure, to_linear
 
 CLEAN = Exposure(blur_px=0.0, shot=0.0, read=0.0, vignette=0.0, sharpen=0.0, quality=0)
 GREY = np.full((64, 96, 3), 0.5, np.float32)

@@ -20,7 +20,7 @@ from tests.simulated_rows import SimulatedRow, Walk, grow_plants, simulate_row, 
 
 from cucumbervision_greenhouse.rounds.day_linking import DayLinks, link_days
 from cucumbervision_greenhouse.rounds.merge import Merged, cluster_pairs, merge_row
-from cucumbervision_greenhouse.rounds.row_fruit import row_fruit
+from cucumbervision_greenhouse.rounds.row_views import row_fruit
 
 UPRIGHT = {"reach": (0.384, 0.687), "band_m": 0.8}
 CASES = {

@@ -25,7 +25,7 @@ from cucumbervision_greenhouse.language import (
     told_apart,
 )
 from cucumbervision_greenhouse.measuring import SharedMeasurer
-from cucumbervision_greenhouse.rounds.demonstration import is_demonstration
+from cucumbervision_greenhouse.rounds.walking import is_demonstration
 from cucumbervision_greenhouse.settings import (
     STORE_VARIABLE,
     Settings,

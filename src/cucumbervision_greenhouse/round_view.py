@@ -12,14 +12,13 @@ from typing import TYPE_CHECKING, Any
 import streamlit as st
 
 from cucumbervision.capture.frames import Capture
-from cucumbervision.crop.grades import grade
+from cucumbervision.crop.grades import UNDECIDED, class_of, grade
 from cucumbervision.run.fields import FIELDS
 from cucumbervision_greenhouse.forecast.forecast import Forecast
 from cucumbervision_greenhouse.fruit_pictures import as_data_url, crop
 from cucumbervision_greenhouse.language import decimal_words
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.resources import KEPT, profile_of, rounds, store, worker
-from cucumbervision_greenhouse.rounds.data_doubts import round_doubts
 from cucumbervision_greenhouse.rounds.day_comparison import (
     DayComparison,
     compare_rounds,
@@ -36,6 +35,8 @@ from cucumbervision_greenhouse.rounds.from_store import RoundContent, read_round
 from cucumbervision_greenhouse.rounds.fruit_table import (
     fruit_table,
     hanging_lengths_m,
+    on_the_plant,
+    round_doubts,
     round_figures,
 )
 from cucumbervision_greenhouse.rounds.merge_and_link import DAY_S, earlier_rounds
@@ -286,6 +287,19 @@ def grade_round(
     deleted = tuple(view for view in best if view.key not in view_of_fruit)
     grades = {view.key: grade(view_of_fruit.get(view.key, view), profile) for view in best}
     return GradedRound(fruit, deleted, grades, round_figures(content, table))
+
+
+def undecided_today(graded: GradedRound, prediction: Forecast) -> int:
+    """Return how many fruit on the plant are in no single class today, as every page counts them.
+
+    Those of an unknown length, which no forecast can be made of, are undecided too.
+    """
+    today = {
+        state.fruit_id: class_of(possible)
+        for state, possible in zip(prediction.fruit, prediction.possible, strict=True)
+    }
+    hanging = on_the_plant(graded.fruit)
+    return sum(today.get(x.key, graded.grades[x.key].name) == UNDECIDED for x in hanging)
 
 
 def doubtful(views: Iterable[FruitRow]) -> list[FruitRow]:

@@ -24,9 +24,9 @@ from cucumbervision_greenhouse.resources import (
     worker,
 )
 from cucumbervision_greenhouse.rounds.adding import add_captures
-from cucumbervision_greenhouse.rounds.demonstration import DEMONSTRATION, round_for_capture
 from cucumbervision_greenhouse.rounds.merge_and_link import settle
 from cucumbervision_greenhouse.rounds.merge_and_link import undo as undo_in
+from cucumbervision_greenhouse.rounds.walking import DEMONSTRATION, round_for_capture
 from cucumbervision_greenhouse.store.records import LogEntry
 from cucumbervision_greenhouse.store.repository import Store
 

@@ -29,8 +29,12 @@ from cucumbervision.errors import (
 )
 from cucumbervision.names import LONGEST_NAME, checked_name
 from cucumbervision_greenhouse.rounds.adding import RoundCapture
-from cucumbervision_greenhouse.rounds.demonstration import round_for_capture
-from cucumbervision_greenhouse.rounds.walking import NextPlace, last_step, refuse_taken
+from cucumbervision_greenhouse.rounds.walking import (
+    NextPlace,
+    last_step,
+    refuse_taken,
+    round_for_capture,
+)
 from cucumbervision_greenhouse.settings import replace_text
 from cucumbervision_greenhouse.store.records import key_of
 

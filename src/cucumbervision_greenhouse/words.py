@@ -21,9 +21,9 @@ from cucumbervision_greenhouse.language import (
     words_of,
 )
 from cucumbervision_greenhouse.language import gettext as _
-from cucumbervision_greenhouse.rounds.demonstration import is_demonstration
 from cucumbervision_greenhouse.rounds.forecasting import date_after
 from cucumbervision_greenhouse.rounds.merge_and_link import DAY_S
+from cucumbervision_greenhouse.rounds.walking import is_demonstration
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -38,9 +38,9 @@ pytestmark = pytest.mark.usefixtures("fresh_caches")
 WALK = key_of("walk")
 KIND = LengthDefinition.CENTRELINE
 DAY = Round(key_of("counts"), "counts", "house 1", time.time() - 600, "long-cucumber")
-HANGS = {"class I": 4, "class II": 2, "too short": 1, "too long": 1, "undecided": 4}
+HANGS = {"class I": 4, "class II": 2, "too short": 1, "too long": 1, "undecided": 5}
 HANGS["not measured"] = 1
-MAY_BE_READY = 3  # of the undecided; the fourth is class II or too short
+MAY_BE_READY = 3  # of the undecided; others are class II or too short, or of unknown length
 
 # By row: lengths in cm with the half width of their interval.
 ROWS: dict[str, list[tuple[float, float]]] = {
@@ -102,6 +102,7 @@ def day(store: Store) -> str:
     part = FruitRow(1, length=length_of(26.0, 3.0), flags="end-hidden")
     others = [part, FruitRow(1), FruitRow(1, length=length_of(DELETED, 0.5))]
     others.append(FruitRow(1, length=length_of(ADDED, 0.5)))
+    others.append(FruitRow(1, length=length_of(26.5, 0.5), flags="depth-unaligned"))
     for number, one in enumerate(others, 10):
         store.save_stop(stop_of(store, "2", number, [one]))
     merge_round(store, DAY.key)
@@ -133,8 +134,8 @@ def said(test: AppTest) -> str:
     return " ".join(str(part.value) for part in parts).replace("\\", "")
 
 
-def lists_of(test: AppTest) -> list[dict[str, Any]]:
-    drawn = [x for x in test.get("bidi_component") if "fruitlist" in x.proto.component_name]
+def lists_of(test: AppTest, kind: str) -> list[dict[str, Any]]:
+    drawn = [x for x in test.get("bidi_component") if kind in x.proto.component_name]
     return [json.loads(one.proto.json) for one in drawn]
 
 
@@ -230,11 +231,20 @@ def test_every_file_says_the_same_numbers(store: Store, day: str, tmp_path: Path
     assert "23.0–29.0" not in html
 
 
+def test_a_lower_bound_is_at_least_beside_the_lengths_by_hand_and_has_no_upper_end(
+    store: Store, day: str
+) -> None:
+    lines = [line for shown in lists_of(page("accuracy"), "handlist") for line in shown["lines"]]
+    assert "at least 26.0 cm" in [line["program"] for line in lines]
+    [part] = [line for line in tables_of(store)["fruit"].rows if line["at_least"]]
+    assert (part["interval_low_cm"], part["interval_high_cm"]) == (23.0, None)
+
+
 def test_the_command_says_the_same_words(store: Store, day: str) -> None:
     shown = CliRunner().invoke(command, ["round", "show", "--store", store.name, "--round", day])
     assert shown.exit_code == 0, shown.output
     text = re.sub(r"\s+", " ", shown.output)
-    assert "15 fruit, lengths in cm" in text
+    assert "16 fruit, lengths in cm" in text
     assert text.count("class I ") >= 4
     assert "≥ 26.0" in text
     assert "out of grade" not in text

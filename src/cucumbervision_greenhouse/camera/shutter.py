@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING
 from cucumbervision.errors import CameraError
 from cucumbervision_greenhouse.camera.cameras import PictureGoneError
 from cucumbervision_greenhouse.jobs import fault_of
-from cucumbervision_greenhouse.rounds.demonstration import round_for_capture
-from cucumbervision_greenhouse.rounds.walking import last_step, unless_taken
+from cucumbervision_greenhouse.rounds.walking import last_step, round_for_capture, unless_taken
 from cucumbervision_greenhouse.store.records import key_of
 
 if TYPE_CHECKING:

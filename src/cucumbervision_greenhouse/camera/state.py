@@ -14,8 +14,7 @@ from cucumbervision_greenhouse.camera import cameras
 from cucumbervision_greenhouse.fruit_pictures import mask_outline, stop_layers
 from cucumbervision_greenhouse.language import counted, marked, words_of
 from cucumbervision_greenhouse.language import gettext as _
-from cucumbervision_greenhouse.rounds.demonstration import DEMONSTRATION
-from cucumbervision_greenhouse.rounds.walking import next_place, sides_of
+from cucumbervision_greenhouse.rounds.walking import DEMONSTRATION, next_place, sides_of
 from cucumbervision_greenhouse.store.marks import TAKE_BACK
 from cucumbervision_greenhouse.store.records import Verdict
 from cucumbervision_greenhouse.words import (

@@ -121,9 +121,8 @@ def add(
 
     from cucumbervision.cli.console import progress_bar, screen, stopping_gently
     from cucumbervision.run.inputs import count_captures
-    from cucumbervision_greenhouse.rounds.adding import add_captures
-    from cucumbervision_greenhouse.rounds.data_doubts import round_doubts
-    from cucumbervision_greenhouse.rounds.placing import Place
+    from cucumbervision_greenhouse.rounds.adding import Place, add_captures
+    from cucumbervision_greenhouse.rounds.fruit_table import round_doubts
     from cucumbervision_greenhouse.rounds.poses import read_poses
 
     place = Place(
@@ -204,7 +203,7 @@ def remeasure(
 
     from cucumbervision.cli.console import progress_bar, screen, show_failures
     from cucumbervision.run.measurer import exit_code
-    from cucumbervision_greenhouse.rounds.remeasuring import measure_round_again
+    from cucumbervision_greenhouse.rounds.stop_records import measure_round_again
 
     with opened_round(store, round_) as (opened, round_summary):
         with progress_bar(Console(stderr=True, highlight=False)) as bar:

@@ -163,7 +163,7 @@ def _line(view: FruitRow, saved_m: tuple[float | None, float | None]) -> dict[st
         "key": view.key,
         "picture": round_view.thumbnail_of(view),
         "saved": ["" if x is None else decimal_words(f"{units.value(x):.5g}") for x in saved_m],
-        "program": units.text(view.length_m),
+        "program": length_words(view, units),
         "name": _("fruit {number}, {place}").format(
             number=view.fruit, place=position or view.capture
         ),

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import streamlit as st
 
-from cucumbervision.crop.grades import UNDECIDED, class_of
 from cucumbervision_greenhouse import resources, round_view
 from cucumbervision_greenhouse.forecast.forecast import Forecast
 from cucumbervision_greenhouse.forecast.picking import Span, plan_work
@@ -16,6 +15,7 @@ from cucumbervision_greenhouse.language import counted, language, plain
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.pages import page_elements
 from cucumbervision_greenhouse.resources import KEPT
+from cucumbervision_greenhouse.round_view import undecided_today
 from cucumbervision_greenhouse.rounds.forecasting import Age, age_of
 from cucumbervision_greenhouse.words import (
     age_words,
@@ -48,7 +48,7 @@ def page(round_summary: Round) -> None:
     names = [_("Next days"), _("Work and crates")]
     days, work = st.tabs(names, key="forecast_tabs", on_change="rerun")
     with days:
-        _days(prediction)
+        _days(prediction, undecided_today(round_view.graded_round(round_summary), prediction))
     if work.open:
         with work:
             _work(prediction)
@@ -90,7 +90,7 @@ def _chart(prediction: Forecast, language: str, theme: str | None) -> None:  # n
     st.altair_chart(charts.forecast_chart(prediction))
 
 
-def _days(prediction: Forecast) -> None:
+def _days(prediction: Forecast, undecided: int) -> None:
     first = [
         f"{class_words(name)} {forecast_day(prediction, day)}"
         for name, day in first_days(prediction).items()
@@ -111,7 +111,6 @@ def _days(prediction: Forecast) -> None:
             line[class_words(prediction.classes[k])] = words
         lines.append(line)
     page_elements.table(lines)
-    undecided = sum(class_of(possible) == UNDECIDED for possible in prediction.possible)
     words = _("'Or more': fruit too small to be detected today are not counted.")
     if undecided:
         today = counted(

@@ -18,8 +18,8 @@ from cucumbervision_greenhouse.pages import fruit as fruit_page
 from cucumbervision_greenhouse.pages import page_elements
 from cucumbervision_greenhouse.pages.round_choice import label_options
 from cucumbervision_greenhouse.round_view import GradedRound
-from cucumbervision_greenhouse.rounds.demonstration import is_demonstration
 from cucumbervision_greenhouse.rounds.fruit_table import hanging_lengths_m, on_the_plant
+from cucumbervision_greenhouse.rounds.walking import is_demonstration
 from cucumbervision_greenhouse.store.records import Verdict
 from cucumbervision_greenhouse.words import (
     grade_words,

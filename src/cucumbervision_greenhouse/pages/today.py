@@ -17,8 +17,8 @@ from cucumbervision_greenhouse.pages import page_elements
 from cucumbervision_greenhouse.pages.page_elements import button
 from cucumbervision_greenhouse.pages.round_choice import label_options
 from cucumbervision_greenhouse.round_view import doubtful
-from cucumbervision_greenhouse.rounds.demonstration import is_demonstration
 from cucumbervision_greenhouse.rounds.forecasting import Age
+from cucumbervision_greenhouse.rounds.walking import is_demonstration
 from cucumbervision_greenhouse.words import (
     age_words,
     class_words,

@@ -16,8 +16,7 @@ from cucumbervision.methods.matching import ALONG, UP, log_density
 from cucumbervision_greenhouse.rounds.row_views import pairs_within
 
 if TYPE_CHECKING:
-    from cucumbervision_greenhouse.rounds.row_fruit import RowFruit
-    from cucumbervision_greenhouse.rounds.row_views import Bools, Floats, Ints
+    from cucumbervision_greenhouse.rounds.row_views import Bools, Floats, Ints, RowFruit
 
 _STAY_SHARE = 0.7  # share of fruit that are still there and seen
 # How far a fruit hangs off its plant's shift: along, up, into the row.
@@ -80,7 +79,7 @@ def link_days(
 
     Examples
     --------
-    >>> from cucumbervision_greenhouse.rounds.row_fruit import RowFruit
+    >>> from cucumbervision_greenhouse.rounds.row_views import RowFruit
     >>> place = np.array([[0.5, 0.1, 0.0], [1.1, -0.1, 0.0], [1.9, 0.2, 0.0], [2.6, 0.0, 0.0]])
     >>> def fruit(place, length):
     ...     few = np.full(4, 0.02)

@@ -12,6 +12,9 @@ import numpy as np
 
 from cucumbervision.methods.matching import pooled_length
 from cucumbervision.methods.result import INTERVAL_Z
+from cucumbervision.methods.table import AVAILABLE
+from cucumbervision.run.fields import table_row
+from cucumbervision.run.summary import Summary
 from cucumbervision_greenhouse.forecast.forecast import natural_key
 from cucumbervision_greenhouse.rounds.from_store import (
     CONTENTS,
@@ -24,6 +27,7 @@ from cucumbervision_greenhouse.store.records import Verdict
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
+    from cucumbervision.run.fields import Cell
     from cucumbervision_greenhouse.store.records import FruitRow
 
 
@@ -137,3 +141,19 @@ def least_sure_first(fruit: Sequence[FruitRow]) -> list[FruitRow]:
     """Return unjudged fruit with a single view, the least certain first."""
     once = [view for view in fruit if view.views == 1 and view.verdict is None]
     return sorted(once, key=lambda view: (view.score, view.key))
+
+
+def round_doubts(views: Iterable[FruitRow]) -> list[str]:
+    """Return the doubts about the fruit of a round, one line each with the remedy.
+
+    Rejected ones are left out.
+    """
+    summary = Summary()
+    summary.add(_row(view) for view in views if view.verdict is not Verdict.REJECTED)
+    return summary.doubts()
+
+
+def _row(view: FruitRow) -> dict[str, Cell]:
+    row = table_row(vars(view))
+    is_measured = any(row[f"{method.lower()}_cm"] is not None for method in AVAILABLE)
+    return {**row, "reason": row["reason"] if is_measured else "", "simulated": False}

@@ -14,7 +14,6 @@ from cucumbervision.errors import RoundError, StoreError
 from cucumbervision.methods.matching import ALONG
 from cucumbervision.names import house_key
 from cucumbervision_greenhouse.rounds.day_linking import link_days
-from cucumbervision_greenhouse.rounds.demonstration import is_demonstration
 from cucumbervision_greenhouse.rounds.from_store import (
     CONTENTS,
     RoundContent,
@@ -25,9 +24,9 @@ from cucumbervision_greenhouse.rounds.from_store import (
 )
 from cucumbervision_greenhouse.rounds.merge import NO_PAIRS, Merged, merge_row
 from cucumbervision_greenhouse.rounds.poses import sign_of_side
-from cucumbervision_greenhouse.rounds.row_fruit import row_fruit
+from cucumbervision_greenhouse.rounds.row_views import row_fruit
 from cucumbervision_greenhouse.rounds.stop_alignment import prior_stops
-from cucumbervision_greenhouse.rounds.walking import refuse_taken
+from cucumbervision_greenhouse.rounds.walking import is_demonstration, refuse_taken
 from cucumbervision_greenhouse.store.links import LinkKind, LinkRecord
 from cucumbervision_greenhouse.store.marks import MOVE_ROUND, STOP_EDITS
 

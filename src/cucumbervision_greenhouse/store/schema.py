@@ -1,7 +1,7 @@
 """The tables, for SQLite and PostgreSQL; those of a fruit's row are the columns of `fields.csv`.
 
 Measurements are written once and never changed. What people decide is a line of `marks`, what an
-algorithm decides one of `links` and the stops' fitted positions. `migrations/` brings the tables of
+algorithm decides one of `links` and the stops' fitted positions. `migrations` brings the tables of
 earlier versions here.
 """
 

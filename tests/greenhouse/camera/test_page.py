@@ -17,7 +17,7 @@ from starlette.testclient import TestClient
 from cucumbervision_greenhouse import resources, tasks
 from cucumbervision_greenhouse.access import DEVICE, AccessGuard
 from cucumbervision_greenhouse.camera import cameras
-from cucumbervision_greenhouse.rounds.demonstration import DEMONSTRATION
+from cucumbervision_greenhouse.rounds.walking import DEMONSTRATION
 from cucumbervision_greenhouse.store.images import ImageStore
 from cucumbervision_greenhouse.store.records import StopRecord, Verdict, key_of
 from cucumbervision_greenhouse.store.repository import Store

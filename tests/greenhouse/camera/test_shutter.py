@@ -19,7 +19,7 @@ from cucumbervision_greenhouse.camera.cameras import Feed, FolderCamera, StreamC
 from cucumbervision_greenhouse.camera.shutter import Press, Shutter
 from cucumbervision_greenhouse.jobs import Job
 from cucumbervision_greenhouse.measuring import SharedMeasurer, measure_waiting
-from cucumbervision_greenhouse.rounds.demonstration import DEMONSTRATION
+from cucumbervision_greenhouse.rounds.walking import DEMONSTRATION
 from cucumbervision_greenhouse.store.records import key_of
 from cucumbervision_greenhouse.store.repository import Store
 from cucumbervision_greenhouse.store.waiting import WaitingCaptures

@@ -12,7 +12,7 @@ pytest.importorskip("streamlit")
 from tests.greenhouse.pages.app_pages import WALK, app, said, wait_for_jobs
 
 from cucumbervision_greenhouse import resources
-from cucumbervision_greenhouse.rounds.demonstration import DEMONSTRATION, round_for_capture
+from cucumbervision_greenhouse.rounds.walking import DEMONSTRATION, round_for_capture
 from cucumbervision_greenhouse.store.records import Round, new_key
 from cucumbervision_greenhouse.store.repository import open_store
 

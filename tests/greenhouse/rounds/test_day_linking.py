@@ -6,7 +6,7 @@ from tests.simulated_rows import SimulatedRow, grow_plants, simulate_row, walk
 
 from cucumbervision_greenhouse.rounds.day_linking import DayLinks, link_days
 from cucumbervision_greenhouse.rounds.merge import merge_row
-from cucumbervision_greenhouse.rounds.row_fruit import RowFruit, row_fruit
+from cucumbervision_greenhouse.rounds.row_views import RowFruit, row_fruit
 
 ROW = SimulatedRow(per_m=10)
 

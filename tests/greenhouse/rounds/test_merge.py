@@ -14,8 +14,7 @@ from cucumbervision_greenhouse.rounds.merge import (
     merge_row,
     sweep,
 )
-from cucumbervision_greenhouse.rounds.row_fruit import best_views, row_fruit
-from cucumbervision_greenhouse.rounds.row_views import RowStops, RowViews
+from cucumbervision_greenhouse.rounds.row_views import RowStops, RowViews, best_views, row_fruit
 
 GIVEN = SimulatedRow(per_m=10)
 HARDER = SimulatedRow(per_m=14, operator_sd_m=0.06, missed=0.10)

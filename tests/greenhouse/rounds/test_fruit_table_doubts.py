@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 from cucumbervision.methods.result import Length
-from cucumbervision_greenhouse.rounds.data_doubts import round_doubts
+from cucumbervision_greenhouse.rounds.fruit_table import round_doubts
 from cucumbervision_greenhouse.store.records import (
     CaptureRecord,
     FruitRow,

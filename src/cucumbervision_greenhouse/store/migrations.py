@@ -1,4 +1,4 @@
-"""From schema 3 (0.1.0, 9771f34 to 64d81fbb): a fruit is its row, and a decision a mark.
+"""Steps between the versions of the tables, by Alembic's operations.
 
 `docs/store.md` has a table of what moved where.
 """
@@ -24,8 +24,8 @@ _CAPTURE_RECORD = (
 )
 
 
-def upgrade() -> None:
-    """Change the tables, and move what is in them."""
+def _from_3() -> None:
+    """From schema 3 (0.1.0, 9771f34 to 64d81fbb): a fruit is its row, and a decision a mark."""
     for statement in (
         ("DROP TRIGGER actions_no_update", "DROP TRIGGER actions_no_delete")
         if op.get_bind().dialect.name == "sqlite"
@@ -260,3 +260,10 @@ def _move_shapes() -> None:
         )
     op.drop_table("masks")
     op.drop_table("measurements")
+
+
+FIRST = 3
+"""Version of the stores of 0.1.0, the oldest that are opened."""
+
+STEPS = (_from_3,)
+"""From version `FIRST` + n to the next."""

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from cucumbervision_greenhouse.rounds.merge import NO_PAIRS, Merged
-from cucumbervision_greenhouse.rounds.row_fruit import row_fruit
-from cucumbervision_greenhouse.rounds.row_views import RowStops, RowViews
+from cucumbervision_greenhouse.rounds.row_views import RowStops, RowViews, row_fruit
 from cucumbervision_greenhouse.rounds.stop_alignment import prior_stops
 
 

@@ -15,7 +15,6 @@ from cucumbervision_greenhouse.language import counted, language, plain
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.pages import page_elements
 from cucumbervision_greenhouse.resources import KEPT
-from cucumbervision_greenhouse.round_view import undecided_today
 from cucumbervision_greenhouse.rounds.forecasting import Age, age_of
 from cucumbervision_greenhouse.words import (
     age_words,
@@ -48,7 +47,8 @@ def page(round_summary: Round) -> None:
     names = [_("Next days"), _("Work and crates")]
     days, work = st.tabs(names, key="forecast_tabs", on_change="rerun")
     with days:
-        _days(prediction, undecided_today(round_view.graded_round(round_summary), prediction))
+        graded = round_view.graded_round(round_summary)
+        _days(prediction, round_view.undecided_today(graded, prediction))
     if work.open:
         with work:
             _work(prediction)

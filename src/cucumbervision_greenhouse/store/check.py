@@ -8,17 +8,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sqlalchemy import or_, select
+from sqlalchemy import select
 
 from cucumbervision.errors import StoredImageError
 from cucumbervision_greenhouse.store.schema import CAPTURES
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from cucumbervision_greenhouse.store.engine import Database
 
 _GRACE_S = 3600.0  # longer than any program takes between a picture and the stop that names it
-
-_ASIDE_SUFFIX = ".removing"
 _PICTURES = (CAPTURES.c.color, CAPTURES.c.depth, CAPTURES.c.thumbnail)
 
 
@@ -70,8 +70,6 @@ def check_store(store: Database, *, remove: bool = False, grace_s: float = _GRAC
     StoreError
         If the database cannot be read.
     """
-    if remove:
-        _bring_back(store)
     with store.reading() as connection:
         lines = connection.execute(select(*_PICTURES))
         names = sorted({name for line in lines for name in line if name is not None})
@@ -82,13 +80,17 @@ def check_store(store: Database, *, remove: bool = False, grace_s: float = _GRAC
             missing.append(path)
         elif not _whole(store, name):
             damaged.append(path)
-    orphans = _orphans(store, names, time.time() - grace_s)
+    orphans = []
+    for path in _orphans(store, names, time.time() - grace_s):
+        orphans.append(path)
+        if remove:
+            path.unlink(missing_ok=True)
     return StoreCheck(
         pictures=len(names),
         missing=tuple(missing),
         damaged=tuple(damaged),
         orphans=tuple(orphans),
-        removed=tuple(path for path in orphans if _removed(store, path, grace_s)) if remove else (),
+        removed=tuple(orphans) if remove else (),
         faults=_faults(store),
     )
 
@@ -101,54 +103,16 @@ def _whole(store: Database, name: str) -> bool:
     return True
 
 
-def _orphans(store: Database, names: list[str], before_s: float) -> list[Path]:
-    named = {store.images.path(name) for name in names}
-    files = store.images.files()
-    return sorted(path for path in files if path not in named and _older(path, before_s))
+def _orphans(store: Database, names: list[str], before_s: float) -> Iterator[Path]:
+    """Yield the files that no stop names and nobody used lately.
 
-
-def _older(path: Path, before_s: float) -> bool:
-    try:
-        return path.stat().st_mtime < before_s
-    except FileNotFoundError:  # another program removed or finished it
-        return False
-
-
-def _removed(store: Database, path: Path, grace_s: float) -> bool:
-    """Remove one orphan, unless another program is about to use it.
-
-    The file is renamed first; then its time and the database are checked again. A writer of the
-    same picture either finds it before that and updates its time, so that it is restored, or
-    does not find it, and writes it again.
+    A writer that puts such a picture again first makes its time of change now.
     """
-    aside = path.with_name(path.name + _ASIDE_SUFFIX)
-    try:
-        path.replace(aside)
-    except FileNotFoundError:
-        return False
-    if _older(aside, time.time() - grace_s) and not _is_named(store, path.name):
-        aside.unlink(missing_ok=True)
-        return True
-    if path.exists():
-        aside.unlink(missing_ok=True)
-    else:
-        aside.replace(path)
-    return False
-
-
-def _bring_back(store: Database) -> None:
-    """Restore files that an interrupted check was removing."""
-    for aside in list(store.images.files()):
-        if aside.name.endswith(_ASIDE_SUFFIX):
-            path = aside.with_name(aside.name.removesuffix(_ASIDE_SUFFIX))
-            with suppress(FileNotFoundError):
-                aside.unlink() if path.exists() else aside.replace(path)
-
-
-def _is_named(store: Database, name: str) -> bool:
-    with store.reading() as connection:
-        query = select(CAPTURES.c.id).where(or_(*(column == name for column in _PICTURES)))
-        return connection.execute(query.limit(1)).first() is not None
+    named = {store.images.path(name) for name in names}
+    for path in sorted(store.images.files()):
+        with suppress(FileNotFoundError):  # another program removed or finished it
+            if path not in named and path.stat().st_mtime < before_s:
+                yield path
 
 
 def _faults(store: Database) -> tuple[str, ...]:

@@ -13,14 +13,14 @@ import shutil
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import FiniteFloat, TypeAdapter
 
 from cucumbervision.capture.frames import Stop
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.readers.native import write_native
-from cucumbervision.errors import NameRefusedError, StoreError, wrap_os_errors
+from cucumbervision.errors import StoreError, wrap_os_errors
 from cucumbervision.files import sync_folder
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ class Waiting:
     key: str
     round_key: str
     stop: Stop
-    pressed_s: float
+    pressed_s: FiniteFloat
     folder: Path
     source: str = ""
     tries: int = 0
@@ -131,13 +131,8 @@ class WaitingCaptures:
         """
         folder = self.folder / f"{round(1e6 * pressed_s):016d}-{key}"
         half = self.folder / f"{_TEMPORARY}{folder.name}"
-        description = {
-            "key": key,
-            "round": round_key,
-            "pressed_s": pressed_s,
-            "stop": asdict(capture.stop),
-            "source": capture.source,
-        }
+        description = {"key": key, "round": round_key, "pressed_s": pressed_s}
+        description |= {"stop": asdict(capture.stop), "source": capture.source}
         try:
             with wrap_os_errors("cannot be written", self.folder, _REMEDY, StoreError):
                 half.mkdir(parents=True)
@@ -153,15 +148,11 @@ class WaitingCaptures:
 
     def captures(self) -> list[Waiting]:
         """Return the queued captures, the oldest first, without those that failed too often."""
-        return [
-            queued_capture for queued_capture in self._all() if queued_capture.tries < MOST_TRIES
-        ]
+        return [queued for queued in self._all() if queued.tries < MOST_TRIES]
 
     def set_aside(self) -> list[Waiting]:
         """Return the captures that failed too often; they are kept for inspection."""
-        return [
-            queued_capture for queued_capture in self._all() if queued_capture.tries >= MOST_TRIES
-        ]
+        return [queued for queued in self._all() if queued.tries >= MOST_TRIES]
 
     def holds(self, key: str) -> bool:
         """Return whether a capture of this key waits, or was set aside."""
@@ -205,56 +196,25 @@ class WaitingCaptures:
     def _all(self) -> list[Waiting]:
         queue, read_before = [], self._read
         for path in sorted(self.folder.glob(f"[0-9]*/{_DESCRIPTION_FILE}")):
-            # Another thread may have removed it.
-            with suppress(OSError, ValueError, RecursionError):
-                queued_capture, tries = (
-                    read_before.get(path) or _read(path),
-                    path.with_name(_TRIES_FILE),
-                )
-                queue.append(
-                    replace(queued_capture, tries=tries.stat().st_size if tries.exists() else 0)
-                )
-        self._read = {
-            queued_capture.folder / _DESCRIPTION_FILE: queued_capture for queued_capture in queue
-        }
+            # Another thread may have removed it, and a damaged one must not hold up the others.
+            with suppress(Exception):
+                queued, tries = read_before.get(path) or _read(path), path.with_name(_TRIES_FILE)
+                queue.append(replace(queued, tries=tries.stat().st_size if tries.exists() else 0))
+        self._read = {queued.folder / _DESCRIPTION_FILE: queued for queued in queue}
         return queue
 
 
-class _Description(BaseModel):
-    model_config = ConfigDict(strict=True)
-
-    key: str
-    round: str
-    pressed_s: Annotated[float, Field(allow_inf_nan=False)]
-    stop: dict[str, str | int | float | None]
-    source: str
-
-
 def _read(path: Path) -> Waiting:
-    description = _Description.model_validate(json.loads(path.read_text(encoding="utf-8")))
-    try:
-        stop = Stop(**description.stop)  # type: ignore[arg-type]
-    except (TypeError, AttributeError, NameRefusedError) as error:  # no such field, or no name
-        raise ValueError(str(error)) from None
-    return Waiting(
-        description.key,
-        description.round,
-        stop,
-        description.pressed_s,
-        path.parent,
-        description.source,
-    )
+    values = json.loads(path.read_text(encoding="utf-8"))
+    values |= {"round_key": values.pop("round"), "stop": Stop(**values["stop"])}
+    return TypeAdapter(Waiting).validate_python({**values, "folder": path.parent})
 
 
 def _sync(folder: Path) -> None:
     """Flush a folder and its content to the disk."""
-    for path in sorted(folder.rglob("*")):
-        if path.is_dir():
-            sync_folder(path)
-        else:
-            handle = os.open(path, os.O_RDONLY)
-            try:
-                os.fsync(handle)
-            finally:
-                os.close(handle)
-    sync_folder(folder)
+    for path in (*folder.rglob("*"), folder):
+        handle = os.open(path, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)

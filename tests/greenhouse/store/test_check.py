@@ -62,36 +62,6 @@ def test_orphans_are_found_and_removed_once_they_are_old(store: Store, refs: lis
     assert {p for p in store.images.folder.rglob("*") if p.is_file()} == left
 
 
-@pytest.mark.parametrize("used", ["named", "put"])
-def test_an_orphan_that_somebody_uses_just_now_is_brought_back(
-    store: Store, make_stop: MakeStop, monkeypatch: pytest.MonkeyPatch, used: str
-) -> None:
-    """Between finding an orphan and removing it another program saves a stop with it."""
-    ref = store.images.put(b"orphan", ".png")
-    path = age(store.images.path(ref))
-    take_away = Path.replace
-
-    def meanwhile(self: Path, target: Path) -> Path:
-        if self == path:
-            if used == "put":
-                store.images.put(b"orphan", ".png")
-            else:
-                store.save_stop(make_stop(1, captures=(CaptureRecord("a", color=ref),)))
-        return take_away(self, target)
-
-    monkeypatch.setattr(Path, "replace", meanwhile)
-    assert check_store(store, remove=True).removed == ()
-    assert store.images.read(ref) == b"orphan"
-
-
-def test_a_check_that_was_killed_is_made_good_by_the_next(store: Store, refs: list[str]) -> None:
-    path = store.images.path(refs[0])
-    path.replace(path.with_name(f"{path.name}.removing"))
-    assert check_store(store).missing == (path,)
-    assert check_store(store, remove=True).sound
-    assert store.images.read(refs[0]) == b"picture 0"
-
-
 def test_sqlites_own_faults_are_told(store: Store, refs: list[str]) -> None:
     if store.engine.dialect.name != "sqlite":
         pytest.skip("PostgreSQL checks its keys itself, always")

@@ -36,7 +36,7 @@ from .methods.table import run_methods as run_methods
 from .methods.traits import TableTrait as TableTrait
 from .methods.traits import TraitValue as TraitValue
 from .methods.traits import TubeTraits as TubeTraits
-from .networks.loaded import open_segmenter as open_segmenter
+from .networks.find import open_segmenter as open_segmenter
 from .networks.yolo import YoloDetector as YoloDetector
 from .protocols import Detector as Detector
 from .protocols import Method as Method
@@ -49,8 +49,8 @@ from .run.measurer import CaptureResult as CaptureResult
 from .run.measurer import Failure as Failure
 from .run.measurer import Measurer as Measurer
 from .run.options import MeasureOptions as MeasureOptions
+from .run.options import PlugIns as PlugIns
 from .run.overlay import draw_overlay as draw_overlay
-from .run.plugged import PlugIns as PlugIns
 from .run.results import Results as Results
 from .run.results import measure as measure
 from .run.whole_run import BatchOptions as BatchOptions

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cucumbervision.methods.result import Fruit
-    from cucumbervision.networks.loaded import NetworkSegmenter
+    from cucumbervision.networks.find import NetworkSegmenter
     from cucumbervision.networks.registry import Registry
     from cucumbervision.run.options import MeasureOptions
     from cucumbervision_greenhouse.jobs import Job
@@ -282,7 +282,7 @@ class SharedMeasurer:
     def _sam(self) -> NetworkSegmenter:
         with self._lock:
             if self._segmenter is None:
-                from cucumbervision.networks.loaded import open_segmenter
+                from cucumbervision.networks.find import open_segmenter
 
                 self._segmenter = open_segmenter(prompt="box", registry=self._registry)
             return self._segmenter

@@ -25,7 +25,7 @@ from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
 from cucumbervision.fruit.instance import Instance
 from cucumbervision.run.measurer import Measurer
-from cucumbervision.run.plugged import PlugIns
+from cucumbervision.run.options import PlugIns
 from cucumbervision.service.app import ServiceSettings, Work
 
 

@@ -18,8 +18,7 @@ from cucumbervision.methods.flags import Flag
 from cucumbervision.methods.result import MethodName
 from cucumbervision.methods.traits import TableTrait
 from cucumbervision.run.measurer import CaptureResult, Measurer
-from cucumbervision.run.options import MeasureOptions
-from cucumbervision.run.plugged import PlugIns
+from cucumbervision.run.options import MeasureOptions, PlugIns
 
 OPTIONS = MeasureOptions(instances="dataset", segmenter="none", methods=(MethodName.M1,))
 

@@ -18,7 +18,7 @@ from cucumbervision.errors import ModelError
 from cucumbervision.fruit.crops import HEIGHT_PX, WIDTH_PX, fruit_crop
 from cucumbervision.fruit.instance import UNKNOWN_ORDER, Instance
 from cucumbervision.fruit.masks import box_of_mask, mask_iou
-from cucumbervision.networks.loaded import NetworkLoader
+from cucumbervision.networks.find import NetworkLoader
 from cucumbervision.networks.looks import FruitLook, FruitLooker, refined
 from cucumbervision.networks.registry import load_registry
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from cucumbervision.errors import ModelError, ModelHashError, UnknownModelError
-from cucumbervision.networks.loaded import open_segmenter
+from cucumbervision.networks.find import open_segmenter
 from cucumbervision.networks.registry import Registry, file_sha256, load_registry, models_folder
 from cucumbervision.networks.runtime import open_network
 
@@ -40,13 +40,6 @@ def registry(tmp_path: Path) -> Registry:
     return load_registry(tmp_path / "models.toml", user=tmp_path / "user")
 
 
-def installed(registry: Registry, tmp_path: Path) -> dict[str, Path]:
-    made = (tmp_path / "e.onnx", tmp_path / "d.onnx")
-    for path in made:
-        path.write_bytes(path.name.encode())
-    return registry.install("outside", made)
-
-
 def test_the_packages_own_registry_is_sound() -> None:
     registry = load_registry()
     assert "mobile-sam" in {m.name for m in registry.models}
@@ -74,8 +67,7 @@ def test_embedded_weights_come_with_licence_and_provenance() -> None:
 
 def test_embedded_files_are_resolved_by_role(registry: Registry, tmp_path: Path) -> None:
     assert registry.resolve("inside") == {"network": tmp_path / "weights" / "inside.onnx"}
-    assert registry.state("inside") == "embedded"
-    assert registry.size_bytes("inside") == 3
+    assert registry.get("inside").size_bytes == 3
 
 
 def test_the_default_of_a_task_is_embedded(registry: Registry) -> None:
@@ -102,32 +94,6 @@ def test_a_missing_file_is_told(registry: Registry, tmp_path: Path) -> None:
     (tmp_path / "weights" / "inside.onnx").unlink()
     with pytest.raises(ModelError, match=r"inside\.onnx: the file is missing"):
         registry.resolve("inside")
-
-
-def test_not_on_this_machine(registry: Registry) -> None:
-    assert registry.state("outside") == "not pulled"
-    with pytest.raises(ModelError, match="run: cucumbervision models use --shipped"):
-        registry.resolve("outside")
-
-
-def test_installed_files_are_resolved_and_verified(registry: Registry, tmp_path: Path) -> None:
-    files = installed(registry, tmp_path)
-    folder = tmp_path / "user" / "outside"
-    assert files == {"encoder": folder / "e.onnx", "decoder": folder / "d.onnx"}
-    assert registry.resolve("outside") == files
-    assert registry.state("outside") == "pulled"
-    assert registry.size_bytes("outside") == len("e.onnx") + len("d.onnx")
-    files["decoder"].write_bytes(b"else")
-    with pytest.raises(ModelHashError, match=r"d\.onnx: .*models use"):
-        registry.resolve("outside")
-
-
-@pytest.mark.parametrize("content", ["", "[]", '{"files": []}'])
-def test_a_broken_manifest_is_told(registry: Registry, tmp_path: Path, content: str) -> None:
-    installed(registry, tmp_path)
-    (tmp_path / "user" / "outside" / "manifest.json").write_text(content)
-    with pytest.raises(ModelError, match=r"manifest\.json: .*; run: cucumbervision models use"):
-        registry.resolve("outside")
 
 
 @pytest.mark.parametrize("content", ["models = 3", "[[models]]\nname = 'x'", "[["])

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from cucumbervision.cli.models import app
 from cucumbervision.errors import ModelError
-from cucumbervision.networks.loaded import NetworkLoader
+from cucumbervision.networks.find import NetworkLoader
 from cucumbervision.networks.registry import (
     IN_USE,
     JUDGEMENT,

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from cucumbervision.errors import ModelError, UnknownModelError
 from cucumbervision.fruit.instance import Instance, MaskSource
 from cucumbervision.fruit.masks import box_of_mask
-from cucumbervision.networks.loaded import open_segmenter
+from cucumbervision.networks.find import open_segmenter
 from cucumbervision.networks.registry import load_registry
 from cucumbervision.networks.runtime import Network
 from cucumbervision.networks.sam import PROMPTS, Sam, _mask_fault

@@ -145,13 +145,12 @@ def test_in_turn_asks_for_no_item_before_the_last_was_dealt_with() -> None:
     assert log == ["asked h", "done h", "asked a", "done a", "asked b", "done b"]
 
 
-@pytest.mark.parametrize("engine", [in_turn, in_process])
-def test_a_stopped_loop_begins_nothing_and_still_names_what_failed(engine: Engine) -> None:
+def test_a_stopped_loop_begins_nothing_and_still_names_what_failed() -> None:
     first, second, _ = list_captures([example_captures()], OPTIONS.reading)
     nowhere = Failure("nowhere", "", "CaptureError", "nowhere: does not exist")
     seen: list[str | None] = []
     for _, outcome in measure_all(
-        [first, second, nowhere], Names(Measurer(OPTIONS)), engine, lambda: bool(seen)
+        [first, second, nowhere], Names(Measurer(OPTIONS)), in_turn, lambda: bool(seen)
     ):
         seen.append(outcome.value or "".join(failure.message for failure in outcome.failures))
     assert seen == ["simulated-bench", "", "nowhere: does not exist"]

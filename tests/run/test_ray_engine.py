@@ -13,7 +13,8 @@ from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import CucumberVisionError, DiskFullError
 from cucumbervision.methods.result import MethodName
 from cucumbervision.run import whole_run as run
-from cucumbervision.run.batch import Outcome, ReadCapture, SearchedCapture, choose_engine
+from cucumbervision.run.batch import Item, Outcome, choose_engine
+from cucumbervision.run.inputs import Listed
 from cucumbervision.run.options import MeasureOptions
 from cucumbervision.run.whole_run import BatchOptions, FolderWorker, measure_inputs
 
@@ -52,11 +53,11 @@ def test_what_cannot_be_loaded_is_said(tmp_path: Path) -> None:
 class KilledWorker(FolderWorker):
     """A worker whose process is killed by one capture, as by a full memory."""
 
-    def detect(self, read: Outcome[Any] | ReadCapture) -> Outcome[Any] | SearchedCapture:
-        """Detect the fruit, unless it is this capture."""
-        if isinstance(read, ReadCapture) and read.capture.name == "simulated-row-b":
+    def __call__(self, item: Item) -> Outcome[Any]:
+        """Measure a capture, unless it is this one."""
+        if isinstance(item, Listed) and item.name == "simulated-row-b":
             os.kill(os.getpid(), signal.SIGKILL)
-        return super().detect(read)
+        return super().__call__(item)
 
 
 def test_a_capture_that_kills_its_worker_is_a_failure_and_the_others_are_measured(

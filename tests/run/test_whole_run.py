@@ -205,6 +205,21 @@ def test_a_file_for_other_pictures_measures_none_of_them(tmp_path: Path, named: 
         assert "names none of the captures (simulated-bench, " in failure.message
 
 
+def test_the_second_capture_that_one_label_names_is_not_measured(tmp_path: Path) -> None:
+    for folder, capture in (("h1", ROW_A), ("h2", "simulated-row-b")):
+        shutil.copytree(example_captures() / capture, tmp_path / folder / "cap")
+    label = {"image_id": 1, "category_id": 1, "bbox": [180, 85, 80, 295]}
+    content = {"images": [{"id": 1, "file_name": "cap"}], "annotations": [label]}
+    boxes = tmp_path / "boxes.json"
+    boxes.write_text(json.dumps(content))
+    options = MeasureOptions(instances=str(boxes), segmenter="none")
+    result = measure_inputs([tmp_path / "h1", tmp_path / "h2"], tmp_path / "out", options)
+    assert ([row["capture"] for row in result.rows], result.exit_code) == ([ROW_A], 1)
+    (failure,) = result.failures
+    assert failure.capture == "simulated-row-b"
+    assert f"both {ROW_A} and simulated-row-b are: only the first" in failure.message
+
+
 def test_without_a_segmenter_boxes_are_measured_by_the_box(tmp_path: Path) -> None:
     label = tmp_path / f"{ROW_A}.txt"
     label.write_text(f"0 {220 / 848} {232 / 480} {80 / 848} {295 / 480}\n")

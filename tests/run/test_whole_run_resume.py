@@ -75,14 +75,15 @@ def test_stopped_after_the_first_and_started_again_is_the_same_as_never_stopped(
     whole = run.tables()
     shutil.rmtree(run.out)
     stopped = run(OPTIONS, BatchOptions(is_cancelled=lambda: bool(run.measured)))
-    assert run.measured == [NAMES[0]]
-    assert (stopped.interrupted, stopped.exit_code, stopped.captures) == (True, 130, 1)
+    # The second had begun; two are measured at once.
+    assert tuple(run.measured) == NAMES[:2]
+    assert (stopped.interrupted, stopped.exit_code, stopped.captures) == (True, 130, 2)
     lines = (run.out / "measurements.csv").read_text(encoding="utf-8-sig").splitlines()
-    assert len(lines) == 1 + len(stopped.rows) == 4
-    assert len(json.loads((run.out / "measurements.json").read_text())["captures"]) == 1
+    assert len(lines) == 1 + len(stopped.rows) == 7
+    assert len(json.loads((run.out / "measurements.json").read_text())["captures"]) == 2
     assert (run.out / "measurements.xlsx").exists()
     assert not run().interrupted
-    assert tuple(run.measured) == NAMES[1:]
+    assert tuple(run.measured) == NAMES[2:]
     assert run.tables() == whole
 
 
@@ -243,8 +244,8 @@ def test_a_folder_that_may_not_be_looked_into_is_a_failure() -> None:
             refused.load()
 
 
-def test_ctrl_c_ends_after_the_running_capture(tmp_path: Path) -> None:
-    # The signal comes while the first capture is measured; it is measured to its end.
+def test_ctrl_c_ends_after_the_running_captures(tmp_path: Path) -> None:
+    # The signal comes while the first capture is measured, and the second searched.
     program = """
 import os, signal
 import cucumbervision.run.measurer as module
@@ -267,7 +268,7 @@ from cucumbervision.cli.app import main; main()
     assert done.returncode == 130
     assert "rerun the command to resume" in done.stderr
     report = json.loads((tmp_path / "measurements.json").read_text())
-    assert [capture["name"] for capture in report["captures"]] == [NAMES[0]]
+    assert tuple(capture["name"] for capture in report["captures"]) == NAMES[:2]
 
 
 def test_other_code_is_seen(run: Watched, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -22,7 +22,8 @@ from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import CameraError, CaptureError
 from cucumbervision.methods.result import Choice
 from cucumbervision.run.fields import FIELDS
-from cucumbervision.run.measurer import DetectedCapture, Failure, Measurer
+from cucumbervision.run.finders import Detections
+from cucumbervision.run.measurer import Failure, Measurer
 from cucumbervision.run.options import MeasureOptions
 from cucumbervision.stream.fruit_stream import (
     FRAME_FIELDS,
@@ -203,7 +204,7 @@ def test_frames_searched_ahead_give_the_lines_of_frames_in_turn(
     stream, threads = by_masks(fits=1), set()
     detect = stream.measurer.detect
 
-    def watched(capture: Capture) -> DetectedCapture:
+    def watched(capture: Capture) -> tuple[Capture, Detections]:
         threads.add(threading.current_thread().name)
         return detect(capture)
 
@@ -229,7 +230,7 @@ def test_a_fault_in_searching_is_a_failure_of_its_frame(
     stream = by_masks()
     detect = stream.measurer.detect
 
-    def faulty(capture: Capture) -> DetectedCapture:
+    def faulty(capture: Capture) -> tuple[Capture, Detections]:
         if capture.name == "walk_1":
             raise CaptureError("no light")
         return detect(capture)

@@ -14,7 +14,7 @@ from typing import Annotated
 import typer
 
 from cucumbervision._version import __version__
-from cucumbervision.cli import crop, live, measure, models, own_truth
+from cucumbervision.cli import live, measure, models, own_truth
 from cucumbervision.cli.choices import EXIT_CODES
 from cucumbervision.errors import InternalError, named_error
 from cucumbervision.plugins import installed
@@ -38,7 +38,7 @@ app.command("demo", epilog=EXIT_CODES)(measure.demo)
 app.command("serve")(live.serve)
 app.command("schema")(live.schema)
 app.command("calibrate")(own_truth.calibrate)
-_GROUPS = {"crop": crop.app, "evaluate": own_truth.app, "models": models.app}
+_GROUPS = {"crop": models.crops, "evaluate": own_truth.app, "models": models.app}
 for _name, _group in _GROUPS.items():
     app.add_typer(_group, name=_name)
 for _further in installed(_COMMANDS):

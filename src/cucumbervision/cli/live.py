@@ -21,7 +21,7 @@ from cucumbervision.cli.choices import (
     measure_options,
     takes,
 )
-from cucumbervision.errors import CameraError
+from cucumbervision.errors import CameraError, MissingExtraError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -303,12 +303,24 @@ def serve(
     If the environment variable CUCUMBERVISION_TOKEN is set, requests must contain this token. It is
     required for addresses that other machines can reach.
     """
-    from cucumbervision.service.server import serve as run
+    from importlib.util import find_spec
 
-    def ready() -> None:
-        typer.echo(f"http://{address}:{port} (Ctrl-C ends)", err=True)
+    from cucumbervision.access import TOKEN_VARIABLE, check_access
+    from cucumbervision.run.measurer import Measurer
 
-    run(options, address=address, port=port, most_mb=most_mb, waiting=waiting, ready=ready)
+    for package in ("fastapi", "uvicorn", "prometheus_client", "python_multipart"):
+        if find_spec(package) is None:
+            raise MissingExtraError(package.replace("_", "-"), "serve")
+    token = os.environ.get(TOKEN_VARIABLE, "")
+    check_access(address, token)
+    from cucumbervision.service.app import ServiceSettings, create_app, request_limits
+    from cucumbervision.service.requests import listen
+
+    measurer = Measurer(options)
+    measurer.warm_up()
+    service = create_app(measurer, ServiceSettings(token, request_limits(most_mb), waiting))
+    typer.echo(f"http://{address}:{port} (Ctrl-C ends)", err=True)
+    listen(service, address, port)
 
 
 class Kind(StrEnum):

@@ -94,7 +94,7 @@ class InstanceFile:
             If the file names the picture twice, gives it another size, or has more masks of it
             than 4 GB hold.
         """
-        picture = self._find([n for n in names if n], frame)
+        picture = self.find(names, frame)
         if picture is None:
             return FileInstances((), (), ())
         if picture.size_px is not None and picture.size_px != (width, height):
@@ -164,31 +164,20 @@ class InstanceFile:
         -------
         missing, unused : list of str
             Names of captures, and of pictures of the file.
-
-        Raises
-        ------
-        InstancesError
-            If several captures have a picture's name: only one of them can be meant.
         """
-        missing, used = [], dict[int, str]()
+        missing, used = [], set[int]()
         for names, frame in captures:
-            picture = self._find([n for n in names if n], frame)
-            capture_name = next((n for n in names if n), str(frame))
+            picture = self.find(names, frame)
             if picture is None:
-                missing.append(capture_name)
-            elif used.setdefault(id(picture), capture_name) != capture_name:
-                raise InstancesError(
-                    f"names {picture.name or picture.number} once, which both "
-                    f"{used[id(picture)]} and {capture_name} are: one has the other's fruit",
-                    source=self.source,
-                    remedy="name the pictures with their folders, and measure again",
-                )
+                missing.append(next((n for n in names if n), str(frame)))
+            used.add(id(picture))
         return missing, [
             p.name or f"image id {p.number}" for p in self.pictures if id(p) not in used
         ]
 
-    def _find(self, names: Sequence[str], frame: int | None) -> LabelledImage | None:
-        names = [normalize("NFC", name) for name in names]
+    def find(self, names: Sequence[str], frame: int | None) -> LabelledImage | None:
+        """Return the entries for a capture, as for `for_capture`; None if there are none."""
+        names = [normalize("NFC", name) for name in names if name]
         for short, called in self._by_name.items():
             # A capture's name may contain dots without having an extension.
             keys = {short(n) for n in names} | {_file_name(n) for n in names if short is _stem}

@@ -1,25 +1,35 @@
-"""Find the fruit of a picture: a detector, the look at each detection, and a pose network."""
+"""Find the fruit of a picture: the networks of a run, loaded once, and what they find together."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from pkgutil import resolve_name
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast
 
 import numpy as np
 
+from cucumbervision.errors import ModelError
 from cucumbervision.fruit.instance import merge_instances, with_disjoint_masks, with_keypoints
 from cucumbervision.fruit.masks import box_ious
-from cucumbervision.networks.confidence import CANDIDATE_CONFIDENCE, DEFAULT_CONFIDENCE
-from cucumbervision.networks.yolo import SAME_IOU
+from cucumbervision.networks.confidence import (
+    CANDIDATE_CONFIDENCE,
+    DEFAULT_CONFIDENCE,
+    detector_floor,
+    pose_floor,
+)
+from cucumbervision.networks.looks import EndLooker, FruitLooker
+from cucumbervision.networks.registry import Registry, file_sha256, load_registry
+from cucumbervision.networks.yolo import SAME_IOU, YoloDetector
+from cucumbervision.protocols import Segmenter
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
+    from pathlib import Path
 
     from numpy.typing import NDArray
 
+    from cucumbervision.fruit.crops import EndCrop, EndLook
     from cucumbervision.fruit.instance import Instance
-    from cucumbervision.networks.looks import FruitLooker
-    from cucumbervision.networks.yolo import YoloDetector
 
 
 class Detectors:
@@ -189,3 +199,296 @@ def with_pose_votes(
             replace(detection, confidence=(looks * detection.confidence + vote) / (looks + 1))
         )
     return tuple(sorted(voted, key=lambda detection: -detection.confidence))
+
+
+class NetworkSegmenter(Segmenter, Protocol):
+    """A segmenter of the registry.
+
+    A class with these methods becomes available by an entry in `models.toml` whose `segmenter`
+    names it. It is called with the entry's files by role, and with `runtime`, `prompt` and
+    `full_precision`.
+    """
+
+    prompt: str
+
+    @property
+    def runtime(self) -> str:
+        """The runtime, as `Network.runtime`."""
+        ...
+
+    def mask_at(self, color_rgb: NDArray[np.uint8], u_px: float, v_px: float) -> NDArray[np.bool_]:
+        """Return the mask of the object at one pixel, bool, shape (H, W); may be empty."""
+        ...
+
+
+def open_segmenter(
+    name: str | None = None,
+    *,
+    runtime: str = "auto",
+    prompt: str = "box+point",
+    full_precision: bool = False,
+    registry: Registry | None = None,
+) -> NetworkSegmenter:
+    """Load a segmenter of the registry.
+
+    Parameters
+    ----------
+    name : str, optional
+        Its name, such as 'mobile-sam'; the default segmenter if not given.
+    runtime : str
+        As in `open_network`.
+    prompt : str
+        Kind of prompt: 'box+point', 'box' or 'point'.
+    full_precision : bool
+        Compute in float32 for reproducible results.
+    registry : Registry, optional
+        Registry of named networks; by default that of the package.
+
+    Raises
+    ------
+    ModelError, ModelHashError
+        If it is unknown, not on this machine, or a file is missing or damaged.
+
+    Examples
+    --------
+    >>> from cucumbervision.fruit.instance import Instance
+    >>> picture = np.full((120, 160, 3), (120, 80, 50), np.uint8)
+    >>> picture[40:80, 30:130] = (40, 140, 50)
+    >>> fruit = Instance(np.array([29.5, 39.5, 129.5, 79.5]))
+    >>> (segmented,) = open_segmenter("mobile-sam").segment(picture, [fruit])
+    >>> segmented.mask_source.value, segmented.mask[60, 80], segmented.mask[100, 80]
+    ('sam', np.True_, np.False_)
+    """
+    registry = registry or load_registry()
+    model = registry.segmenter(name)
+    opened = resolve_name(model.segmenter)(
+        registry.resolve(model.name), runtime=runtime, prompt=prompt, full_precision=full_precision
+    )
+    return cast("NetworkSegmenter", opened)
+
+
+Small = TypeVar("Small", FruitLooker, EndLooker)
+
+
+class NetworkLoader:
+    """Loads networks by name from a registry, or from a user's file.
+
+    Parameters
+    ----------
+    registry : Registry, optional
+        The named networks; the package's registry if not given.
+    runtime : str
+        Runtime, as in `open_network`.
+    confidence : float
+        Detections below it are omitted.
+    prompt : str
+        Kind of prompt for SAM.
+    full_precision : bool
+        Compute in float32.
+    most_fruit : int, optional
+        Largest number of detections per picture.
+    input_sizes : tuple of int
+        Input sizes (long sides, pixels) of detector and pose network; empty for each file's
+        default.
+
+    Attributes
+    ----------
+    models : list of dict
+        Name, task, SHA-256 and runtime of each loaded network.
+
+    Examples
+    --------
+    >>> loader = NetworkLoader(runtime="onnxruntime")
+    >>> loader.segmenter("mobile-sam") is loader.segmenter("mobile-sam")
+    True
+    >>> [model["name"] for model in loader.models]
+    ['mobile-sam']
+    """
+
+    def __init__(
+        self,
+        registry: Registry | None = None,
+        *,
+        runtime: str = "auto",
+        confidence: float = DEFAULT_CONFIDENCE,
+        prompt: str = "box+point",
+        full_precision: bool = False,
+        most_fruit: int | None = None,
+        input_sizes: tuple[int, ...] = (),
+    ) -> None:
+        self.registry = registry or load_registry()
+        self.models: list[dict[str, Any]] = []
+        self._runtime, self._prompt, self._full_precision = runtime, prompt, full_precision
+        self._confidence, self._most_fruit, self._input_sizes = confidence, most_fruit, input_sizes
+        self._pose_confidence = pose_floor(confidence)
+        self._small: dict[str, Any] = {}
+        self._orders_ends = False
+        self._files: dict[str, dict[str, Path]] = {}
+        self._segmenters: dict[str | None, NetworkSegmenter] = {}
+
+    def stem_looker(self) -> FruitLooker | None:
+        """Return what tells the stem end, if a loaded network orders keypoints by place."""
+        return self.fruit_looker() if self._orders_ends else None
+
+    @property
+    def look_at_ends(self) -> Callable[[Sequence[EndCrop]], list[EndLook]] | None:
+        """The function that evaluates crops of ends by the registry's network; None without one.
+
+        The network is loaded with the first crops, which raises ModelError or ModelHashError if its
+        file is missing, damaged, or another kind of network.
+        """
+        return None if self.registry.default("look") is None else self._look
+
+    def _look(self, crops: Sequence[EndCrop]) -> list[EndLook]:
+        looker = self._small_network("look", EndLooker)
+        return [] if looker is None else looker.look(crops)
+
+    def verify(self, name: str) -> dict[str, Path]:
+        """Return the files of a registered network by role; each is hashed once.
+
+        Raises
+        ------
+        ModelError, ModelHashError
+            If the network is not on this machine, or a file is missing or damaged.
+        """
+        if name not in self._files:
+            self._files[name] = self.registry.resolve(name)
+        return self._files[name]
+
+    def yolo(self, chosen: Path | str, confidence: float | None = None) -> YoloDetector:
+        """Load a YOLO network: a user's file (a path), or one of the registry (a name).
+
+        Parameters
+        ----------
+        chosen : Path or str
+            The file or the name.
+        confidence : float, optional
+            Detections below it are omitted; by default the loader's.
+
+        Raises
+        ------
+        ModelError, ModelHashError
+            If a file is missing, damaged, or not a known kind of network.
+        """
+        path = self.verify(chosen)["network"] if isinstance(chosen, str) else chosen
+        network = YoloDetector(
+            path,
+            self._runtime,
+            self._confidence if confidence is None else confidence,
+            full_precision=self._full_precision,
+            most_fruit=self._most_fruit,
+            input_sizes=self._input_sizes,
+        )
+        if isinstance(chosen, str):
+            self._note(chosen, network.task, self.registry.hashes(chosen)["network"], network)
+        else:
+            self._note(path.name, network.task, file_sha256(path), network)
+        self._orders_ends = self._orders_ends or network.by_place
+        return network
+
+    def pose(self, path: Path) -> YoloDetector:
+        """Load a user's pose network, for the keypoints of known fruit.
+
+        Raises
+        ------
+        ModelError
+            If the file is missing, or not a YOLO pose network.
+        """
+        pose = self.yolo(path, self._pose_confidence)
+        if pose.task != "pose":
+            raise ModelError(
+                f"it is a {pose.task} network and gives no keypoints",
+                source=path,
+                remedy="name a YOLO pose ONNX export with --pose",
+            )
+        return pose
+
+    def detectors(
+        self,
+        file: Path | None = None,
+        pose: YoloDetector | Path | None = None,
+        *,
+        quick: bool = False,
+        looks: bool = True,
+    ) -> Detectors:
+        """Load a detector and the network beside it that gives keypoints.
+
+        Parameters
+        ----------
+        file : Path, optional
+            A user's detector; by default the registry's, together with its network that looks at
+            each fruit, or else its pose network.
+        pose : YoloDetector or Path, optional
+            A pose network to use instead of these.
+        quick : bool
+            As for `Detectors`; without the registry's pose network.
+        looks : bool
+            Whether the network that looks at each fruit may replace the pose network.
+
+        Raises
+        ------
+        ModelError, ModelHashError
+            If the registry has no detector, or a file is missing, damaged or unknown.
+        """
+        segment_model, pose_model = self.registry.default("segment"), self.registry.default("pose")
+        if file is None and segment_model is None:
+            raise ModelError(
+                "this version comes without a cucumber detector",
+                remedy="name a YOLO ONNX export (--instances FILE)",
+            )
+        by_look = looks and file is None and pose is None and self.registry.looks_closely
+        votes_by_pose = file is None and pose_model is not None and not (by_look or quick)
+        least_confidence = detector_floor(self._confidence, votes=votes_by_pose or pose is not None)
+        chosen = segment_model.name if file is None and segment_model is not None else file or ""
+        detector = self.yolo(chosen, least_confidence)
+        if pose is None and votes_by_pose and pose_model is not None:
+            pose = self.yolo(pose_model.name, self._pose_confidence)
+        elif pose is not None and not isinstance(pose, YoloDetector):
+            pose = self.pose(pose)
+        fruit = self.fruit_looker() if by_look else None
+        return Detectors(detector, pose, self._confidence, fruit=fruit, quick=quick)
+
+    def fruit_looker(self) -> FruitLooker | None:
+        """Return the registry's network that looks at each fruit, loaded once; None without one.
+
+        Raises
+        ------
+        ModelError, ModelHashError
+            If a file is missing or damaged, or another kind of network.
+        """
+        return self._small_network("fruit", FruitLooker)
+
+    def _small_network(self, task: str, kind: Callable[[Path, str], Small]) -> Small | None:
+        """Return the registry's small network for a task, loaded once; None without one."""
+        model = self.registry.default(task)
+        if model is not None and task not in self._small:
+            path = self.verify(model.name)["network"]
+            self._small[task] = kind(path, self._runtime)
+            sha256 = self.registry.hashes(model.name)["network"]
+            self._note(model.name, task, sha256, self._small[task])
+        return self._small.get(task)
+
+    def segmenter(self, name: str | None = None) -> NetworkSegmenter:
+        """Return a segmenter of the registry, or the default one, loaded once.
+
+        Raises
+        ------
+        ModelError, ModelHashError
+            If it is not on this machine, or a file is missing or damaged.
+        """
+        if name not in self._segmenters:
+            segmenter = open_segmenter(
+                name,
+                runtime=self._runtime,
+                prompt=self._prompt,
+                full_precision=self._full_precision,
+                registry=self.registry,
+            )
+            model = self.registry.segmenter(name)
+            self._note(model.name, model.task, self.registry.hashes(model.name), segmenter)
+            self._segmenters[name] = segmenter
+        return self._segmenters[name]
+
+    def _note(self, name: str, task: str, sha256: Any, network: Any) -> None:
+        entry = {"name": name, "task": task, "sha256": sha256, "runtime": network.runtime}
+        self.models.append(entry)

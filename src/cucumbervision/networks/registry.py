@@ -10,14 +10,13 @@ import hashlib
 import json
 import os
 import shutil
-import tempfile
 import tomllib
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cucumbervision.errors import ModelError, ModelHashError, UnknownModelError, wrap_reader_errors
-from cucumbervision.files import parse_model, read_json
+from cucumbervision.files import parse_model, read_json, write_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -34,9 +33,9 @@ class ModelFile:
     file : str
         Its name.
     sha256 : str
-        Empty for a user's network, whose hash is in its folder's manifest.json.
+        Its hash, hexadecimal.
     size_bytes : int
-        Zero if not known.
+        Its size.
     """
 
     role: str
@@ -81,9 +80,13 @@ class Model:
     card: str = ""
     segmenter: str = ""
 
+    @property
+    def size_bytes(self) -> int:
+        """Size of all files."""
+        return sum(file.size_bytes for file in self.files)
+
 
 _HERE = Path(__file__).parent
-_MANIFEST = "manifest.json"
 
 IN_USE = "in-use.json"
 """In the user's folder: the user's own networks."""
@@ -171,39 +174,9 @@ class Registry:
             raise UnknownModelError(fault, remedy=f"choose one of {names}")
         return model
 
-    def folder(self, name: str) -> Path:
-        """Return the folder of a model's files; it may not exist yet."""
-        return self.embedded if self.get(name).embedded else self.user / name
-
-    def state(self, name: str) -> str:
-        """Return, without hashing, 'embedded', 'pulled' or 'not pulled'."""
-        if self.get(name).embedded:
-            return "embedded"
-        return "pulled" if (self.folder(name) / _MANIFEST).is_file() else "not pulled"
-
-    def size_bytes(self, name: str) -> int:
-        """Return the size of the files on this machine."""
-        model, folder = self.get(name), self.folder(name)
-        files = [folder / f.file for f in model.files if (folder / f.file).is_file()]
-        return sum(path.stat().st_size for path in files)
-
     def hashes(self, name: str) -> dict[str, str]:
-        """Return the expected SHA-256 of each file, by file name.
-
-        Raises
-        ------
-        ModelError
-            If the model is not on this machine, or its manifest cannot be read.
-        """
-        model = self.get(name)
-        if self.state(name) == "not pulled":
-            raise ModelError(
-                "the model {name} is not on this machine", remedy=_remedy(model), name=name
-            )
-        if model.embedded:
-            return {f.file: f.sha256 for f in model.files}
-        hashes = _read_manifest(self.folder(name) / _MANIFEST, _remedy(model))
-        return {f.file: str(hashes.get(f.file, "")) for f in model.files}
+        """Return the expected SHA-256 of each file, by role."""
+        return {file.role: file.sha256 for file in self.get(name).files}
 
     def resolve(self, name: str) -> dict[str, Path]:
         """Return the paths of a model's files by role, each verified.
@@ -213,47 +186,23 @@ class Registry:
         UnknownModelError
             If no model has the name.
         ModelError
-            If it is not on this machine, or a file is missing.
+            If a file is missing.
         ModelHashError
             If a file's hash differs.
         """
-        model, folder, hashes = self.get(name), self.folder(name), self.hashes(name)
-        for file, sha256 in hashes.items():
-            path, remedy = folder / file, _remedy(model)
+        model = self.get(name)
+        folder = self.embedded if model.embedded else self.user / name
+        remedy = "run: cucumbervision models use --shipped"
+        if model.embedded:
+            remedy = "install cucumbervision again"
+        for file in model.files:
+            path = folder / file.file
             if not path.is_file():
                 raise ModelError("the file is missing", source=path, remedy=remedy)
-            if file_sha256(path) != sha256:
-                raise ModelHashError(
-                    "its SHA-256 is not the registry's", source=path, remedy=remedy
-                )
-        return {f.role: folder / f.file for f in model.files}
-
-    def install(self, name: str, files: tuple[Path, ...]) -> dict[str, Path]:
-        """Move a network's files into the user's folder and note their hashes.
-
-        Parameters
-        ----------
-        name : str
-            A model that is not embedded.
-        files : tuple of Path
-            Named as the registry names them.
-
-        Returns
-        -------
-        dict of str to Path
-            As `resolve`.
-        """
-        model, folder = self.get(name), self.folder(name)
-        folder.mkdir(parents=True, exist_ok=True)
-        for path in files:
-            shutil.move(path, folder / path.name)
-        manifest = {
-            "name": name,
-            "licence": model.licence,
-            "files": {f.file: file_sha256(folder / f.file) for f in model.files},
-        }
-        (folder / _MANIFEST).write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
-        return self.resolve(name)
+            if file_sha256(path) != file.sha256:
+                fault = "its SHA-256 is not the registry's"
+                raise ModelHashError(fault, source=path, remedy=remedy)
+        return {file.role: folder / file.file for file in model.files}
 
     def export(self, name: str, out: Path) -> tuple[Path, ...]:
         """Copy a model's verified files into a folder, made if need be.
@@ -315,12 +264,6 @@ def _model(entry: Any, path: Path, remedy: str) -> Model:
     return parse_model(Model, entry, source=path, error=ModelError, remedy=remedy)
 
 
-def _remedy(model: Model) -> str:
-    if model.embedded:
-        return "install cucumbervision again"
-    return "run: cucumbervision models use --shipped"
-
-
 _USE_AGAIN = "delete the file to use the package's own, and give yours again"
 
 
@@ -330,15 +273,6 @@ def _read_own(path: Path) -> tuple[Model, ...]:
     with wrap_reader_errors(path, ModelError, _USE_AGAIN):
         values = read_json(path, ModelError, _USE_AGAIN)
         return tuple(_model(entry, path, _USE_AGAIN) for entry in values["models"])
-
-
-def _read_manifest(path: Path, remedy: str) -> dict[str, Any]:
-    manifest = read_json(path, ModelError, remedy)
-    with wrap_reader_errors(path, ModelError, remedy):
-        files = manifest["files"]
-        if not isinstance(files, dict):
-            raise ValueError("its entries have the wrong types")
-    return files
 
 
 JUDGEMENT = "judgement.json"
@@ -392,8 +326,8 @@ def use_network(
     )
     earlier = tuple(model for model in registry.user_models if model.name != name)
     changed = replace(registry, user_models=(*earlier, model))
-    with tempfile.TemporaryDirectory() as folder:
-        changed.install(name, (Path(shutil.copyfile(path, Path(folder) / path.name)),))
+    (registry.user / name).mkdir(parents=True, exist_ok=True)
+    shutil.copyfile(path, registry.user / name / path.name)
     _write(changed)
     return model
 
@@ -406,9 +340,7 @@ def use_shipped(registry: Registry | None = None) -> None:
 def _write(registry: Registry) -> None:
     text = json.dumps({"models": [asdict(model) for model in registry.user_models]}, indent=2)
     registry.user.mkdir(parents=True, exist_ok=True)
-    part = registry.user / f"{IN_USE}.part"
-    part.write_text(text + "\n", encoding="utf-8")
-    part.replace(registry.user / IN_USE)
+    write_bytes(registry.user / IN_USE, f"{text}\n".encode())
 
 
 def _read_judgement(run_or_network: Path) -> Mapping[str, Any]:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import ast
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
+from pydantic import BeforeValidator, Field, PositiveInt
 
-from cucumbervision.errors import CucumberVisionError, ModelError
+from cucumbervision.errors import ModelError, as_errors_of
+from cucumbervision.files import parse_model
 from cucumbervision.fruit.masks import suppress
 from cucumbervision.networks.confidence import parse_input_sizes
 
@@ -34,9 +36,30 @@ BY_PLACE = "place"
 
 _TASKS = ("detect", "segment", "pose")
 _REMEDY = "name an ONNX export of a YOLO detect, segment or pose network"
-_DEFAULT_SIZE_PX = 640
-_DEFAULT_STRIDE_PX = 32
-_LARGEST_STRIDE_PX = 1024
+
+
+def _literal(text: str) -> Any:
+    """Return a value that Ultralytics wrote with `str()`."""
+    try:
+        return ast.literal_eval(text)
+    except (ValueError, SyntaxError):
+        return text
+
+
+def _by_number(names: Any) -> Any:
+    return dict(enumerate(names)) if isinstance(names, list | tuple) else names
+
+
+@dataclass(frozen=True)
+class _Metadata:
+    """What Ultralytics' exports say of themselves."""
+
+    names: Annotated[dict[int, str], BeforeValidator(_by_number)] = field(default_factory=dict)
+    imgsz: tuple[PositiveInt, PositiveInt] = (640, 640)
+    stride: Annotated[int, Field(ge=1, le=1024)] = 32
+    kpt_shape: tuple[PositiveInt, PositiveInt] = (0, 0)
+    end2end: bool = False
+    args: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -143,7 +166,7 @@ def read_layout(network: Network) -> YoloLayout:
         If this is not a YOLO network of a known task with batch size 1.
     """
     source, data = network.source, network.metadata
-    free_size, size = _input_size(network)
+    size = _input_size(network)
     rows = [o for o in network.outputs if len(o.shape) == 3]
     prototypes = [o for o in network.outputs if len(o.shape) == 4]
     task = data.get("task", "segment" if prototypes else "detect")
@@ -152,23 +175,26 @@ def read_layout(network: Network) -> YoloLayout:
     if len(rows) != 1 or len(prototypes) != (task == "segment"):
         shapes = ", ".join(f"{o.name} {_shape(o)}" for o in network.outputs)
         raise ModelError(f"its outputs are {shapes}", source=source, remedy=_REMEDY)
-    keypoints = _pair(data, "kpt_shape", (0, 0), source) if task == "pose" else (0, 0)
+    values = {key: _literal(data[key]) for key in _Metadata.__annotations__ if key in data}
+    given = parse_model(
+        _Metadata, values, source=source, error=ModelError, remedy="export it again"
+    )
+    keypoints = given.kpt_shape if task == "pose" else (0, 0)
+    with as_errors_of(source):
+        sizes_px = parse_input_sizes(data.get(SIZES_KEY, ""))
     layout = YoloLayout(
         task=task,
-        names=_names(data, source),
+        names=given.names,
         input_name=network.inputs[0].name,
         rows_name=rows[0].name,
         prototypes_name=prototypes[0].name if prototypes else "",
-        size_px=size,
-        sizes_px=_own_sizes(data, source),
-        free_size=free_size,
-        stride_px=_stride(data, source),
+        size_px=size or given.imgsz,
+        sizes_px=sizes_px,
+        free_size=size is None,
+        stride_px=given.stride,
         extra=int(prototypes[0].shape[1] or 32) if prototypes else keypoints[0] * keypoints[1],
         keypoints=keypoints,
-        end_to_end=bool(
-            _literal(data, "end2end", False, source)
-            or _literal(data, "args", {}, source).get("nms")
-        ),
+        end_to_end=given.end2end or bool(given.args.get("nms")),
         one_to_one=data.get(ONE_TO_ONE_KEY) == "True",
         by_place=data.get(ORDER_KEY) == BY_PLACE,
         source=source,
@@ -179,8 +205,8 @@ def read_layout(network: Network) -> YoloLayout:
     return layout
 
 
-def _input_size(network: Network) -> tuple[bool, tuple[int, int]]:
-    """Return whether the input size is free, and the size (or the file's recommended one)."""
+def _input_size(network: Network) -> tuple[int, int] | None:
+    """Return height and width of the input; None if they are free."""
     source, inputs = network.source, network.inputs
     shape = inputs[0].shape if len(inputs) == 1 else ()
     if len(shape) != 4 or shape[1] not in (3, None):
@@ -191,67 +217,11 @@ def _input_size(network: Network) -> tuple[bool, tuple[int, int]]:
         raise ModelError(
             f"it takes {batch} pictures at once", source=source, remedy="export it with batch=1"
         )
-    if height is not None and width is not None:
-        return False, (height, width)
-    default = (_DEFAULT_SIZE_PX, _DEFAULT_SIZE_PX)
-    return True, _pair(network.metadata, "imgsz", default, source)
-
-
-def _own_sizes(data: Mapping[str, str], source: str) -> tuple[int, ...]:
-    try:
-        return parse_input_sizes(data.get(SIZES_KEY, ""))
-    except CucumberVisionError as error:
-        raise _bad_metadata(data, SIZES_KEY, source) from error
+    return None if height is None or width is None else (height, width)
 
 
 def _shape(info: TensorInfo) -> str:
     return "x".join("?" if n is None else str(n) for n in info.shape)
-
-
-def _literal(data: Mapping[str, str], key: str, default: Any, source: str) -> Any:
-    """Read a value that Ultralytics wrote with `str()`."""
-    try:
-        return ast.literal_eval(data[key]) if key in data else default
-    except (ValueError, SyntaxError) as error:
-        raise _bad_metadata(data, key, source) from error
-
-
-def _pair(
-    data: Mapping[str, str], key: str, default: tuple[int, int], source: str
-) -> tuple[int, int]:
-    value = _literal(data, key, default, source)
-    if (
-        not isinstance(value, (list, tuple))
-        or len(value) != 2
-        or not all(isinstance(n, int) and n > 0 for n in value)
-    ):
-        raise _bad_metadata(data, key, source)
-    return value[0], value[1]
-
-
-def _stride(data: Mapping[str, str], source: str) -> int:
-    value = _literal(data, "stride", _DEFAULT_STRIDE_PX, source)
-    if not isinstance(value, int | float) or not 1 <= value <= _LARGEST_STRIDE_PX or value % 1:
-        raise _bad_metadata(data, "stride", source)
-    return int(value)
-
-
-def _names(data: Mapping[str, str], source: str) -> dict[int, str]:
-    value = _literal(data, "names", {}, source)
-    if isinstance(value, (list, tuple)):
-        return {i: str(name) for i, name in enumerate(value)}
-    if not isinstance(value, dict):
-        raise _bad_metadata(data, "names", source)
-    try:
-        return {int(i): str(name) for i, name in value.items()}
-    except (TypeError, ValueError, OverflowError) as error:
-        raise _bad_metadata(data, "names", source) from error
-
-
-def _bad_metadata(data: Mapping[str, str], key: str, source: str) -> ModelError:
-    return ModelError(
-        f"its {key!r} is {data.get(key, 'missing')[:60]!r}", source=source, remedy="export it again"
-    )
 
 
 _STRIDES_PX = (8, 16, 32)

@@ -24,7 +24,7 @@ from cucumbervision.capture.readers import open_source
 from cucumbervision.errors import CaptureError
 from cucumbervision.networks.runtime import limit_threads
 from cucumbervision.run.inputs import Listed
-from cucumbervision.run.measurer import Boundary, CaptureResult, DetectedCapture, Failure, Measurer
+from cucumbervision.run.measurer import Boundary, CaptureResult, Failure, Measurer
 
 if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
@@ -53,22 +53,6 @@ class Outcome(Generic[T]):
     failures: tuple[Failure, ...] = ()
 
 
-@dataclass(frozen=True, eq=False)
-class ReadCapture:
-    """A capture in memory, with a hash of its source if the worker computes one."""
-
-    capture: Capture
-    content: str = ""
-
-
-@dataclass(frozen=True, eq=False)
-class SearchedCapture:
-    """A capture between detection and measurement, or the result of a failed detection."""
-
-    read: ReadCapture
-    detected: DetectedCapture | CaptureResult
-
-
 class Worker(ABC, Generic[T]):
     """Does the work of one capture, in this process or as a copy in another.
 
@@ -82,45 +66,29 @@ class Worker(ABC, Generic[T]):
         self.measurer = measurer
 
     def __call__(self, item: Item) -> Outcome[T]:
-        """Read, detect and measure one item."""
-        return self.measure(self.detect(self.read(item)))
-
-    def read(self, item: Item) -> Outcome[T] | ReadCapture:
-        """Read a capture; errors are returned in the outcome."""
-        if isinstance(item, Failure):
-            return Outcome(failures=(item,))
-        failures: list[Failure] = []
-        with Boundary(failures, item.input, item.name):
-            return ReadCapture(replace(item.ref.load(), name=item.name))
-        return Outcome(failures=tuple(failures))
-
-    def detect(self, read: Outcome[T] | ReadCapture) -> Outcome[T] | SearchedCapture:
-        """Detect the fruit of a capture; errors are returned in the outcome.
+        """Read and measure one item; errors are returned in the outcome.
 
         Raises
         ------
         CucumberVisionError
             If the networks or the calibration cannot be loaded, as `Measurer.load`.
         """
-        if isinstance(read, Outcome):
-            return read
-        self.measurer.load()
-        try:
-            return SearchedCapture(read, self.measurer.detect(read.capture))
-        except Exception as error:
-            return SearchedCapture(read, CaptureResult.failed(read.capture, error))
+        read = self.read(item)
+        return read if isinstance(read, Outcome) else self.measure(*read)
 
-    def measure(self, searched: Outcome[T] | SearchedCapture) -> Outcome[T]:
-        """Measure the detected fruit, and convert the result."""
-        if isinstance(searched, Outcome):
-            return searched
-        result = searched.detected
-        if isinstance(result, DetectedCapture):
-            try:
-                result = self.measurer.measure_detected(result)
-            except Exception as error:
-                result = CaptureResult.failed(searched.read.capture, error)
-        return self.make(result, searched.read.content)
+    def read(self, item: Item) -> Outcome[T] | tuple[Capture, str]:
+        """Read a capture, with a hash of its source if the worker computes one."""
+        if isinstance(item, Failure):
+            return Outcome(failures=(item,))
+        failures: list[Failure] = []
+        with Boundary(failures, item.input, item.name):
+            return replace(item.ref.load(), name=item.name), ""
+        return Outcome(failures=tuple(failures))
+
+    def measure(self, capture: Capture, content: str) -> Outcome[T]:
+        """Measure a capture, and convert the result."""
+        self.measurer.load()
+        return self.make(self.measurer.attempt(capture), content)
 
     @abstractmethod
     def make(self, result: CaptureResult, content: str) -> Outcome[T]:
@@ -152,34 +120,16 @@ def in_turn(
 def in_process(
     items: Iterable[Item], worker: Worker[Any], is_cancelled: Callable[[], bool]
 ) -> Iterator[Outcome[Any]]:
-    """Process items one after the other in this process.
-
-    While the networks process one capture, the next is read and the previous one is measured.
-    """
-    waiting: deque[tuple[Item, Future[Any]]] = deque()
-    measuring: deque[Future[Outcome[Any]]] = deque()
-    begun = False
-
-    def look() -> Iterator[Outcome[Any]]:
-        nonlocal begun
-        item, reading = waiting.popleft()
-        read = Outcome() if _is_dropped(item, is_cancelled) else reading.result()
-        measuring.append(measurers.submit(worker.measure, worker.detect(read)))
-        # The first outcome is yielded immediately, for a caller that waits for it.
-        while measuring and (len(measuring) > 1 or not begun):
-            begun = True
-            yield measuring.popleft().result()
-
-    with ThreadPoolExecutor(1) as readers, ThreadPoolExecutor(1) as measurers:
+    """Process two items at once in this process: the networks find one's fruit meanwhile."""
+    waiting: deque[Future[Outcome[Any]]] = deque()
+    with ThreadPoolExecutor(2) as threads:
         for item in items:
+            if len(waiting) == 2:
+                yield waiting.popleft().result()
             dropped = _is_dropped(item, is_cancelled)
-            waiting.append((item, _done() if dropped else readers.submit(worker.read, item)))
-            if len(waiting) > 1:
-                yield from look()
+            waiting.append(_done() if dropped else threads.submit(worker, item))
         while waiting:
-            yield from look()
-        while measuring:
-            yield measuring.popleft().result()
+            yield waiting.popleft().result()
 
 
 def _is_dropped(item: Item, is_cancelled: Callable[[], bool]) -> bool:

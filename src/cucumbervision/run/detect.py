@@ -21,7 +21,7 @@ from cucumbervision.errors import CaptureError, wrap_os_errors
 from cucumbervision.files import write_bytes, write_csv, write_json
 from cucumbervision.fruit.instance import KEYPOINT_NAMES, SKELETON
 from cucumbervision.fruit.mask_codes import encode_rle
-from cucumbervision.run.batch import Item, Outcome, SearchedCapture, Worker, measure_all
+from cucumbervision.run.batch import Item, Outcome, Worker, in_turn, measure_all
 from cucumbervision.run.inputs import Listed
 from cucumbervision.run.measurer import Boundary, CaptureResult, Failure, Measurer, exit_code
 from cucumbervision.run.options import MeasureOptions
@@ -142,27 +142,25 @@ class PictureWorker(Worker[DetectedPicture]):
         self._out = out
         self._taken: set[str] = set()
 
-    def measure(
-        self, searched: Outcome[DetectedPicture] | SearchedCapture
-    ) -> Outcome[DetectedPicture]:
+    def measure(self, capture: Capture, content: str) -> Outcome[DetectedPicture]:  # noqa: ARG002
         """Return the detections; nothing is measured."""
-        if isinstance(searched, Outcome):
-            return searched
-        if isinstance(searched.detected, CaptureResult):
-            return self.make(searched.detected, "")
-        capture, detections = searched.detected.capture, searched.detected.detections
+        self.measurer.load()
+        failures: list[Failure] = []
+        with Boundary(failures, capture.source, capture.name):
+            _, detections = self.measurer.detect(capture)
+        if failures:
+            return Outcome(failures=tuple(failures))
         instances = detections.instances
         entries = [
             coco_fields(instance, keypoints=detections.posed) | {"class": instance.class_name}
             for instance in instances
         ]
-        size = capture.width, capture.height
-        failures: list[Failure] = []
         if self._out is not None:
             with Boundary(failures, capture.source, capture.name):
                 stem = unique_name(safe_name(str(Path(capture.name).with_suffix(""))), self._taken)
                 drawn = draw_detections(capture.color, instances)
                 write_jpeg(self._out / f"{stem}.jpg", drawn, _JPEG_QUALITY)
+        size = capture.width, capture.height
         picture = DetectedPicture(capture.name, *size, entries, detections.labels)
         return Outcome(picture, tuple(failures))
 
@@ -252,7 +250,7 @@ def detect_inputs(
         (out / "overlays").mkdir(parents=True, exist_ok=True)
     worker = PictureWorker(measurer, out / "overlays")
     try:
-        for done, (_, outcome) in enumerate(measure_all(items, worker), start=1):
+        for done, (_, outcome) in enumerate(measure_all(items, worker, in_turn), start=1):
             result.pictures.extend([] if outcome.value is None else [outcome.value])
             result.failures.extend(outcome.failures)
             if report is not None:

@@ -24,8 +24,7 @@ from cucumbervision.methods.m6 import fits_well, measure_m6
 from cucumbervision.methods.result import Selector
 from cucumbervision.networks.keypoint_axis import place_keypoints
 from cucumbervision.plugins import Kind, Plugin, plugins
-from cucumbervision.run.options import INSTANCE_SOURCES, MeasureOptions
-from cucumbervision.run.plugged import PlugIns
+from cucumbervision.run.options import MeasureOptions, PlugIns
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -34,7 +33,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.frames import Capture
     from cucumbervision.methods.result import Measurement
-    from cucumbervision.networks.loaded import NetworkLoader
+    from cucumbervision.networks.find import NetworkLoader
     from cucumbervision.networks.registry import Registry
     from cucumbervision.networks.yolo import YoloDetector
     from cucumbervision.protocols import Detector
@@ -164,7 +163,7 @@ def make_finder(
     PluginError
         If a detector or segmenter of another package cannot be loaded.
     """
-    from cucumbervision.networks.loaded import NetworkLoader
+    from cucumbervision.networks.find import NetworkLoader
 
     plug_ins = plug_ins or PlugIns()
     detector = _plugged("detectors", options.instances, plug_ins.detector)
@@ -459,50 +458,6 @@ def _file_finder(path: Path) -> Find:
         return Detections(listed.instances, cut, listed.refused)
 
     return find
-
-
-def instance_notes(
-    instances: str, captures: Sequence[tuple[Sequence[str], int | None]]
-) -> list[str]:
-    """Return notes on captures and on pictures of a file of instances without a counterpart.
-
-    Parameters
-    ----------
-    instances : str
-        As `MeasureOptions.instances`; no notes if it is not a file of instances.
-    captures : sequence of (sequence of str, int or None)
-        Names and number of each capture, as `InstanceFile.for_capture` takes them.
-
-    Raises
-    ------
-    InstancesError
-        If the file names none of the captures.
-    """
-    from cucumbervision.fruit.instance_files import read_instances
-
-    path = Path(instances)
-    named = instances in INSTANCE_SOURCES or instances in plugins("detectors")
-    if named or path.suffix.lower() == ".onnx":
-        return []
-    file = read_instances(path)
-    missing, unused = file.coverage(captures)
-    if missing and len(missing) == len(captures):
-        raise InstancesError(
-            f"names none of the captures ({_shortened(missing)}); it names {_shortened(unused)}",
-            source=path,
-            remedy="name its pictures as the captures are called",
-        )
-    notes = [f"{path}: no fruit given for {', '.join(missing)}"] if missing else []
-    if unused and captures:
-        notes.append(f"{path}: no capture is called {', '.join(unused)}")
-    if file.crowds:
-        notes.append(f"{path}: {file.crowds} crowd regions, of several fruit each, are left out")
-    return notes
-
-
-def _shortened(names: Sequence[str], most_names: int = 5) -> str:
-    remainder = f" and {len(names) - most_names} more" if len(names) > most_names else ""
-    return f"{', '.join(names[:most_names])}{remainder}"
 
 
 def _dataset_or_error(capture: Capture) -> Detections:

@@ -5,27 +5,32 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from textwrap import shorten
 from typing import TYPE_CHECKING, TypeAlias
 
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import CaptureRef, unique_name
+from cucumbervision.errors import InstancesError
 from cucumbervision.files import is_remote
+from cucumbervision.plugins import plugins
 from cucumbervision.run.measurer import Boundary, Failure
+from cucumbervision.run.options import INSTANCE_SOURCES
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
-    from pathlib import Path
 
     from cucumbervision.capture.frames import Capture
     from cucumbervision.capture.source import CaptureSource, ReadOptions
+    from cucumbervision.fruit.instance_files import InstanceFile
 
 _log = logging.getLogger(__name__)
 _LONGEST_LIST = 300
 
-Opener: TypeAlias = Callable[["Path", "ReadOptions"], "CaptureSource"]
+Opener: TypeAlias = Callable[[Path, "ReadOptions"], "CaptureSource"]
 
 
 @dataclass(frozen=True)
@@ -210,3 +215,80 @@ def count_captures(
         # An input that cannot be opened counts as one step.
         total += 1 if source is None else source.total or 0
     return total
+
+
+def label_file(instances: str) -> InstanceFile | None:
+    """Return the file that `MeasureOptions.instances` names; None for other sources of fruit.
+
+    Raises
+    ------
+    InstancesError
+        If it cannot be read.
+    """
+    from cucumbervision.fruit.instance_files import read_instances
+
+    named = instances in INSTANCE_SOURCES or instances in plugins("detectors")
+    is_network = Path(instances).suffix.lower() == ".onnx"
+    return None if named or is_network else read_instances(instances)
+
+
+def labelled_once(
+    file: InstanceFile | None, items: Iterable[Listed | Failure]
+) -> Iterator[Listed | Failure]:
+    """Yield items; a capture whose entry in the file an earlier one has becomes a failure."""
+    used = dict[int, str]()
+    for item in items:
+        entry = None
+        if file is not None and isinstance(item, Listed):
+            with suppress(InstancesError):  # measuring the capture raises the error
+                place = item.ref.location.removesuffix("/capture.json")
+                entry = file.find((item.name, place), item.ref.frame)
+        if entry is None or used.setdefault(id(entry), item.name) == item.name:
+            yield item
+            continue
+        error = InstancesError(
+            f"names {entry.name or entry.number} once, which both {used[id(entry)]} and "
+            f"{item.name} are: only the first was measured, maybe with the other's fruit",
+            source=file.source,
+            remedy="name the pictures with their folders, and measure again",
+        )
+        yield Failure.of(error, item.input, item.name)
+
+
+def instance_notes(
+    file: InstanceFile, captures: Sequence[tuple[Sequence[str], int | None]]
+) -> list[str]:
+    """Return notes on captures and on pictures of a file without a counterpart.
+
+    Parameters
+    ----------
+    file : InstanceFile
+        The file.
+    captures : sequence of (sequence of str, int or None)
+        Names and frame number of each capture, as for `InstanceFile.for_capture`.
+
+    Raises
+    ------
+    InstancesError
+        If the file names none of the captures.
+    """
+    missing, unused = file.coverage(captures)
+    if missing and len(missing) == len(captures):
+        raise InstancesError(
+            f"names none of the captures ({_shortened(missing)}); it names {_shortened(unused)}",
+            source=file.source,
+            remedy="name its pictures as the captures are called",
+        )
+    notes = [f"{file.source}: no fruit given for {', '.join(missing)}"] if missing else []
+    if unused and captures:
+        notes.append(f"{file.source}: no capture is called {', '.join(unused)}")
+    if file.crowds:
+        notes.append(
+            f"{file.source}: {file.crowds} crowd regions, of several fruit each, are left out"
+        )
+    return notes
+
+
+def _shortened(names: Sequence[str], most_names: int = 5) -> str:
+    remainder = f" and {len(names) - most_names} more" if len(names) > most_names else ""
+    return f"{', '.join(names[:most_names])}{remainder}"

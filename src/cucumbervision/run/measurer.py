@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import zip_longest
@@ -21,8 +22,7 @@ from cucumbervision.methods.traits import with_traits
 from cucumbervision.networks.registry import load_registry
 from cucumbervision.run.fields import FIELDS, fruit_row
 from cucumbervision.run.finders import make_finder
-from cucumbervision.run.options import GRAVITY_BY_EDGE, MeasureOptions
-from cucumbervision.run.plugged import PlugIns, RunPlugins
+from cucumbervision.run.options import GRAVITY_BY_EDGE, MeasureOptions, PlugIns, RunPlugins
 from cucumbervision.run.provenance import deciding_sha256
 from cucumbervision.threads import OneThread
 
@@ -195,14 +195,6 @@ class CaptureResult:
         return [fruit_row(self.capture, number, fruit, self.fields) for number, fruit in numbered]
 
 
-@dataclass(frozen=True, eq=False)
-class DetectedCapture:
-    """A capture, with depth scaled by the calibration if there is one, and its detections."""
-
-    capture: Capture
-    detections: Detections
-
-
 class Measurer:
     """Measures captures; its calibration and networks are loaded once, with the first capture.
 
@@ -235,6 +227,8 @@ class Measurer:
         self.options = options or MeasureOptions()
         self._registry, self.plug_ins = registry, plug_ins or PlugIns()
         self._finder: Finder | None = None
+        # Networks, methods and traits need not be safe for several threads.
+        self._finding, self._measuring = threading.RLock(), threading.Lock()
 
     def __repr__(self) -> str:
         return f"<Measurer: {self.options.instances}, {self.options.length}>"
@@ -293,10 +287,11 @@ class Measurer:
         CucumberVisionError
             If a network, the file of instances or the calibration cannot be loaded.
         """
-        if self._finder is None:
-            _ = self.site  # report an unreadable calibration before loading networks
-            self._finder = make_finder(self.options, self._registry, self.plug_ins)
-        return self._finder
+        with self._finding:
+            if self._finder is None:
+                _ = self.site  # report an unreadable calibration before loading networks
+                self._finder = make_finder(self.options, self._registry, self.plug_ins)
+            return self._finder
 
     def warm_up(self) -> None:
         """Load the detection networks and run them on a grey picture; SAM is loaded on first use.
@@ -323,10 +318,12 @@ class Measurer:
         CucumberVisionError
             If a network cannot be loaded, or the calibration belongs to another camera.
         """
-        return self.measure_detected(self.detect(capture))
+        detected = self.detect(capture)
+        with self._measuring:
+            return self.measure_detected(*detected)
 
     @OneThread()
-    def detect(self, capture: Capture) -> DetectedCapture:
+    def detect(self, capture: Capture) -> tuple[Capture, Detections]:
         """Find the fruit of one capture: the first half of `measure`.
 
         Raises
@@ -344,22 +341,22 @@ class Measurer:
             capture = calibrated_capture(capture, self.site)
         if self.options.camera_up is not None and capture.gravity is None:
             capture = replace(capture, gravity=GRAVITY_BY_EDGE[self.options.camera_up])
-        return DetectedCapture(capture, finder.find(capture))
+        with self._finding:
+            return capture, finder.find(capture)
 
     @OneThread()
     def measure_detected(
-        self, detected: DetectedCapture, chosen: Collection[int] | None = None
+        self, capture: Capture, detections: Detections, chosen: Collection[int] | None = None
     ) -> CaptureResult:
         """Measure detected fruit: the second half of `measure`.
 
         Parameters
         ----------
-        detected : DetectedCapture
+        capture, detections
             Result of `detect`.
         chosen : collection of int, optional
             Indices of the fruit to measure; all by default.
         """
-        capture, detections = detected.capture, detected.detections
         doubts = [Flag(doubt) for doubt in capture.doubts]
         pairs = list(zip_longest(detections.instances, detections.tubes))
         measured = [

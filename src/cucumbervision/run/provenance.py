@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import cucumbervision
 from cucumbervision.about import installed_versions, software
-from cucumbervision.errors import CucumberVisionError, ModelError
+from cucumbervision.errors import CucumberVisionError
 from cucumbervision.networks.registry import file_sha256
 from cucumbervision.plugins import plugins
 from cucumbervision.run.options import INSTANCE_SOURCES
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from cucumbervision.run.options import MeasureOptions
 
 _CODE = frozenset({".py", ".c", ".csv", ".json", ".toml"})
-_NO_LENGTH = frozenset({"accuracy", "cli", "service", "streaming"})  # rooms that decide none
+_NO_LENGTH = frozenset({"cli", "service", "stream"})  # rooms that decide none
 
 
 def deciding_sha256(
@@ -88,7 +88,7 @@ def deciding_sha256(
     values |= {
         "calibration": site and site.sha256,
         "files": [_path_sha256(path) for path in files],
-        "networks": [_network_hashes(registry, name) for name in networks],
+        "networks": [registry.hashes(name) for name in networks],
         "plugins": [plugin.as_json() for plugin in added],
         "code": code_sha256(),
         "versions": installed_versions(),
@@ -106,13 +106,6 @@ def code_sha256() -> str:
         if path.suffix in _CODE and name.parts[0] not in _NO_LENGTH:
             digest.update(f"{name.as_posix()} {file_sha256(path)}\n".encode())
     return digest.hexdigest()
-
-
-def _network_hashes(registry: Registry, name: str) -> dict[str, str] | str:
-    try:
-        return registry.hashes(name)
-    except ModelError as error:  # not installed: measuring raises the error
-        return str(error)
 
 
 def _path_sha256(path: Path) -> str:

@@ -18,18 +18,15 @@ if TYPE_CHECKING:
 
     from cucumbervision.run.batch import Item, Worker
 
-_MEASURING = 0.75
-"""Share of the CPUs that the measuring actors claim together: actors that claim every core starve
-the readers, and the run hangs."""
-
-_READING = 0.25  # CPUs of a reading task
+_SHARE = 0.9
+"""Of the CPUs that the actors claim together: if they claim every core, Ray's own tasks starve."""
 
 _TRIES = 2  # of a capture whose worker is killed
 
 
 @dataclass(frozen=True)
 class RayEngine:
-    """Does tasks on a Ray cluster: tasks read captures, actors with the networks measure them.
+    """Does tasks on a Ray cluster, in actors that load the networks once.
 
     Parameters
     ----------
@@ -100,7 +97,7 @@ class RayEngine:
         resources = ray.cluster_resources()
         cpus, gpus = float(resources.get("CPU", 1)), float(resources.get("GPU", 0))
         workers = self.workers or max(1, int(cpus))
-        share = _MEASURING * cpus / workers
+        share = _SHARE * cpus / workers
         context = ray.data.DataContext.get_current()
         context.execution_options.preserve_order = True
         context.enable_progress_bars = False
@@ -113,7 +110,6 @@ class RayEngine:
         ]
         on_gpus = worker.measurer.options.runtime in CARD_RUNTIMES
         dataset = ray.data.from_items(items, override_num_blocks=len(items))
-        dataset = dataset.map(_Reading(worker), num_cpus=_READING, max_retries=_TRIES - 1)
         return dataset.map(
             _Measuring,
             fn_constructor_args=(worker, max(1, int(share))),
@@ -123,17 +119,6 @@ class RayEngine:
             max_restarts=-1,
             max_task_retries=_TRIES - 1,
         )
-
-
-class _Reading:
-    """Reads a capture, as a separate Ray task without networks."""
-
-    def __init__(self, worker: Worker[Any]) -> None:
-        self._worker = worker
-
-    def __call__(self, row: dict[str, Any]) -> dict[str, Any]:
-        read = self._worker.read(pickle.loads(row["item"]))
-        return {"number": row["number"], "read": pickle.dumps(read)}
 
 
 class _Measuring:
@@ -146,7 +131,7 @@ class _Measuring:
     def __call__(self, row: dict[str, Any]) -> dict[str, Any]:
         outcome: Outcome[Any] | CucumberVisionError
         try:
-            outcome = self._worker.measure(self._worker.detect(pickle.loads(row["read"])))
+            outcome = self._worker(pickle.loads(row["item"]))
         except CucumberVisionError as error:  # networks or calibration cannot be loaded
             outcome = error
         return {"number": row["number"], "done": pickle.dumps(outcome)}

@@ -17,11 +17,15 @@ from cucumbervision.files import as_path
 from cucumbervision.fruit.instance import Instance
 from cucumbervision.run.batch import Item, ResultWorker, measure_all
 from cucumbervision.run.fields import FIELDS
-from cucumbervision.run.finders import instance_notes
-from cucumbervision.run.inputs import Listed, list_captures
+from cucumbervision.run.inputs import (
+    Listed,
+    instance_notes,
+    label_file,
+    labelled_once,
+    list_captures,
+)
 from cucumbervision.run.measurer import Boundary, CaptureResult, Failure, Measurer, plugin_failures
-from cucumbervision.run.options import MeasureOptions
-from cucumbervision.run.plugged import PlugIns
+from cucumbervision.run.options import MeasureOptions, PlugIns
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -195,7 +199,10 @@ def _measured(
             else:
                 yield from list_captures([as_path(source)], measurer.options.reading, opener)
 
-    outcomes = [outcome for _, outcome in measure_all(items(), ResultWorker(measurer))]
+    chosen = measurer.options.instances
+    labels = label_file(chosen) if measurer.plug_ins.detector is None else None
+    listed = labelled_once(labels, items())
+    outcomes = [outcome for _, outcome in measure_all(listed, ResultWorker(measurer))]
     results = [
         outcome.value
         for outcome in outcomes
@@ -203,11 +210,10 @@ def _measured(
     ]
     failures = plugin_failures(measurer)
     failures += [failure for outcome in outcomes for failure in outcome.failures]
-    if measurer.plug_ins.detector is None:
-        chosen = measurer.options.instances
+    if labels is not None:
         names = [((r.capture.name, r.capture.source), r.capture.frame) for r in results]
         with Boundary(failures, chosen):
-            instance_notes(chosen, names)
+            instance_notes(labels, names)
     return Results(tuple(results), tuple(failures))
 
 

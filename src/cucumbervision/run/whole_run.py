@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
@@ -15,10 +15,16 @@ import numpy as np
 
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.files import as_path, each_file_read_once, json_value, read_bytes
-from cucumbervision.run.batch import Item, LoopOptions, Outcome, ReadCapture, Worker, measure_all
-from cucumbervision.run.finders import instance_notes
+from cucumbervision.run.batch import Item, LoopOptions, Outcome, Worker, measure_all
 from cucumbervision.run.folder import CaptureRecord, OutputFolder
-from cucumbervision.run.inputs import distinct, each_once, list_captures
+from cucumbervision.run.inputs import (
+    distinct,
+    each_once,
+    instance_notes,
+    label_file,
+    labelled_once,
+    list_captures,
+)
 from cucumbervision.run.measurer import (
     Boundary,
     CaptureResult,
@@ -206,7 +212,7 @@ class FolderWorker(Worker[CaptureRecord]):
         super().__init__(measurer)
         self._out, self._overlays = out, overlays
 
-    def read(self, item: Item) -> Outcome[CaptureRecord] | ReadCapture:
+    def read(self, item: Item) -> Outcome[CaptureRecord] | tuple[Capture, str]:
         """Read a capture, or its record if it was measured before."""
         if isinstance(item, Failure):
             return super().read(item)
@@ -217,11 +223,11 @@ class FolderWorker(Worker[CaptureRecord]):
             read = super().read(item)
         if isinstance(read, Outcome):
             return read
-        content = content or _content_of_capture(read.capture)
+        content = content or _content_of_capture(read[0])
         record = self._earlier(item.name, content)
         if record is not None:
             return Outcome(record, record.failures)
-        return replace(read, content=content)
+        return read[0], content
 
     def _earlier(self, name: str, content: str) -> CaptureRecord | None:
         """Return the record of a capture if it would be made so again."""
@@ -315,6 +321,8 @@ def _measured(
     names: list[tuple[tuple[str, ...], int | None]] = []
     paths = distinct(inputs, result.notes.append)
     listed = each_once(list_captures(paths, options.reading, batch.opener), result.notes.append)
+    labels = label_file(options.instances)
+    listed = labelled_once(labels, listed)
     worker = FolderWorker(measurer, out, batch.overlays)
     for item, outcome in measure_all(listed, worker, batch.engine, batch.is_cancelled):
         record, name = outcome.value, "" if isinstance(item, Failure) else item.name
@@ -331,8 +339,9 @@ def _measured(
             names.append(((str(capture["name"]), source), capture.get("frame")))
         if report is not None:
             report(Step(name, record, outcome.failures))
-    with Boundary(result.failures, options.instances):
-        result.notes += instance_notes(options.instances, names)
+    if labels is not None:
+        with Boundary(result.failures, options.instances):
+            result.notes += instance_notes(labels, names)
     result.notes += result.summary.doubts()
     if not result.captures and out.has("measurements.csv"):
         result.notes.append(f"{out.path}: nothing was read, so its tables stay as they were")

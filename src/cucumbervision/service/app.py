@@ -6,7 +6,7 @@ import hmac
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -44,7 +44,7 @@ from cucumbervision.errors import (
     named_error,
 )
 from cucumbervision.methods.pose import FruitPose
-from cucumbervision.run.batch import ResultWorker, measure_all, never
+from cucumbervision.run.batch import Item, ResultWorker, Worker, measure_all, never
 from cucumbervision.run.detect import PictureWorker, read_picture
 from cucumbervision.run.fields import FIELDS, row_model
 from cucumbervision.run.inputs import Listed, list_source
@@ -54,6 +54,7 @@ from cucumbervision.service.requests import RequestError, bounded, check_source
 if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
 
+T = TypeVar("T")
 ReplyT = TypeVar("ReplyT", "MeasureReply", "DetectReply")
 Files = Annotated[
     list[UploadFile], File(description="One file or more, as for an upload.", min_length=1)
@@ -63,6 +64,7 @@ FruitRow: Any = row_model("FruitRow", FIELDS, pose=(FruitPose | None, None))
 """One fruit: the columns of the tables, in their units, and its pose."""
 
 _PATHS = ("/measure", "/detect", "/health", "/metrics", "/openapi.json")
+_TIMES_S = (0.05, 0.1, 0.25, 0.5, 1, 2.5, 5, 10, 30, 60, 300)
 _BODY_SLACK = 1_000_000  # part headers of a body with many files
 
 
@@ -206,6 +208,14 @@ class Work:
             self.measurer.load()
             yield Path(folder)
 
+    def _outcomes(
+        self, listed: Iterable[Item], worker: Worker[T], has_left: Callable[[], bool]
+    ) -> tuple[list[T], list[NotRead]]:
+        outcomes = [outcome for _, outcome in measure_all(listed, worker, is_cancelled=has_left)]
+        failures = [failure for outcome in outcomes for failure in outcome.failures]
+        values = [outcome.value for outcome in outcomes if outcome.value is not None]
+        return values, _not_read(failures)
+
     def measure(
         self, files: Sequence[tuple[str, BinaryIO]], has_left: Callable[[], bool] = never
     ) -> MeasureReply:
@@ -216,16 +226,14 @@ class Work:
         CucumberVisionError
             If no file can be processed: too many files, a full disk, no networks.
         """
+        options = self.measurer.options
         with self.turn(has_left) as folder:
-            options, worker = self.measurer.options, ResultWorker(self.measurer)
             uploads = accept_uploads(files, folder, self.settings.limits)
             listed = chain.from_iterable(
                 list_source(upload.title, partial(upload.open, options.reading))
                 for upload in uploads.sources
             )
-            outcomes = [
-                outcome for _, outcome in measure_all(listed, worker, is_cancelled=has_left)
-            ]
+            results, failures = self._outcomes(listed, ResultWorker(self.measurer), has_left)
         captures = [
             MeasuredCapture(
                 name=result.capture.name,
@@ -237,13 +245,13 @@ class Work:
                     for row, fruit in zip(result.rows(), result.fruit, strict=True)
                 ],
             )
-            for result in (outcome.value for outcome in outcomes)
-            if result is not None and result.error is None
+            for result in results
+            if result.error is None
         ]
         refused = [Failure.of(error, error.source) for error in uploads.refused]
         return MeasureReply(
             captures=captures,
-            failures=_not_read([*refused, *(f for x in outcomes for f in x.failures)]),
+            failures=[*_not_read(refused), *failures],
             ignored=uploads.ignored,
             config_sha256=options.sha256,
         )
@@ -265,22 +273,17 @@ class Work:
                 files=len(files),
                 limit=self.settings.limits.files,
             )
-        worker = PictureWorker(self.measurer)
         with self.turn(has_left) as folder:
-            refs = [
-                CaptureRef(name, 0, partial(_read, folder / f"{number:04d}", name, stream))
-                for number, (name, stream) in enumerate((clean_name(n), s) for n, s in files)
+            listed = [
+                Listed(
+                    name, CaptureRef(name, 0, partial(_read, folder / f"{k:04d}", name, s)), name
+                )
+                for k, (name, s) in enumerate((clean_name(name), s) for name, s in files)
             ]
-            listed = [Listed(ref.name, ref, ref.name) for ref in refs]
-            outcomes = [
-                outcome for _, outcome in measure_all(listed, worker, is_cancelled=has_left)
-            ]
+            seen, failures = self._outcomes(listed, PictureWorker(self.measurer), has_left)
         pictures = [
-            SeenPicture(name=x.name, width=x.width, height=x.height, fruit=x.entries)
-            for x in (outcome.value for outcome in outcomes)
-            if x is not None
+            SeenPicture(name=x.name, width=x.width, height=x.height, fruit=x.entries) for x in seen
         ]
-        failures = _not_read([f for outcome in outcomes for f in outcome.failures])
         return DetectReply(pictures=pictures, failures=failures)
 
 
@@ -304,26 +307,14 @@ class _Metrics:
 
     def __init__(self) -> None:
         self.registry = CollectorRegistry()
-        by_path = ("path", "status")
-        self.requests = Counter(
-            "cucumbervision_requests",
-            "Requests by path and status",
-            by_path,
-            registry=self.registry,
-        )
-        self.results = Counter(
-            "cucumbervision_found",
-            "Captures, pictures, fruit and failures of answers",
-            ("what",),
-            registry=self.registry,
-        )
-        self.seconds = Histogram(
-            "cucumbervision_request_seconds",
-            "Time of admitted requests, waiting included",
-            ("path",),
-            registry=self.registry,
-            buckets=(0.05, 0.1, 0.25, 0.5, 1, 2.5, 5, 10, 30, 60, 300),
-        )
+        of = {"registry": self.registry}
+        name, path = "cucumbervision_{}".format, "path"
+        says = "Requests by path and status"
+        self.requests = Counter(name("requests"), says, (path, "status"), **of)
+        says = "Captures, pictures, fruit and failures of answers"
+        self.results = Counter(name("found"), says, ("what",), **of)
+        says = "Time of admitted requests, waiting included"
+        self.seconds = Histogram(name("request_seconds"), says, (path,), buckets=_TIMES_S, **of)
 
     def count(self, path: str, status: int, taken_s: float) -> None:
         """Count a request, and record the time of an admitted one."""

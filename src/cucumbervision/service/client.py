@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
-import http.client
 import io
 import json
-import re
-import secrets
 import tempfile
-import urllib.error
-import urllib.request
 import zipfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import urllib3
 
 from cucumbervision.capture.readers import RECORDING_SUFFIXES, open_source
 from cucumbervision.capture.readers.native import write_native
@@ -81,7 +77,9 @@ class Client:
         """
         files: list[tuple[str, bytes]] = []
         for source in sources:
-            if isinstance(source, Path) and _is_opened_here(source):
+            if isinstance(source, Path) and (
+                source.is_dir() or source.suffix.lower() in RECORDING_SUFFIXES
+            ):
                 files += [packed(ref.load()) for ref in open_source(source)]
             else:
                 files.append(_file(source) if isinstance(source, Path) else packed(source))
@@ -105,66 +103,27 @@ class Client:
         return self._ask("/detect", [_file(picture) for picture in pictures])
 
     def _ask(self, path: str, files: Iterable[tuple[str, bytes]] | None = None) -> dict[str, Any]:
-        request = urllib.request.Request(self._url + path)
-        if self._token:
-            request.add_header("Authorization", f"Bearer {self._token}")
-        if files is not None:
-            kind, request.data = _form(files)
-            request.add_header("Content-Type", kind)
+        headers = {"Authorization": f"Bearer {self._token}"} if self._token else {}
+        fields = None if files is None else [("files", file) for file in files]
         try:
-            with _OPENER.open(request, timeout=self._timeout_s) as answer:
-                reply: dict[str, Any] = json.load(answer)
-                return reply
-        except urllib.error.HTTPError as error:
-            with error:
-                raise self._refused(error.code, error.read()) from None
-        except (OSError, ValueError) as error:
-            reason = getattr(error, "reason", error)
+            answer = urllib3.request(
+                "GET" if files is None else "POST",
+                self._url + path,
+                fields=fields,
+                headers=headers,
+                timeout=self._timeout_s,
+                retries=False,
+            )
+            reply: dict[str, Any] = json.loads(answer.data)
+        except (urllib3.exceptions.HTTPError, ValueError) as error:
             raise ServiceError(
-                f"does not answer ({reason})", source=self._url, remedy="check that it runs"
+                f"does not answer ({error})", source=self._url, remedy="check that it runs"
             ) from None
-
-    def _refused(self, status: int, body: bytes) -> ServiceError:
-        try:
-            message = str(json.loads(body)["message"])
-        except (ValueError, KeyError, TypeError):
-            message = f"refuses the request (HTTP {status})"
-        refused = ServiceError(message, source=self._url)
-        refused.status = status
-        return refused
-
-
-class _Refusable:
-    """A connection that the server may close with an answer while the body is being sent."""
-
-    def send(self, data: Any) -> None:
-        # The answer sent before closing can still be read, and has the reason.
-        with contextlib.suppress(BrokenPipeError, ConnectionResetError):
-            super().send(data)  # type: ignore[misc]
-
-
-class _Connection(_Refusable, http.client.HTTPConnection):
-    pass
-
-
-class _SecureConnection(_Refusable, http.client.HTTPSConnection):
-    pass
-
-
-class _Handler(urllib.request.HTTPHandler, urllib.request.HTTPSHandler):
-    def http_open(self, request: urllib.request.Request) -> http.client.HTTPResponse:
-        return self.do_open(_Connection, request)
-
-    def https_open(self, request: urllib.request.Request) -> http.client.HTTPResponse:
-        return self.do_open(_SecureConnection, request)
-
-
-_OPENER = urllib.request.build_opener(_Handler)
-
-
-def _is_opened_here(path: Path) -> bool:
-    """Return whether a path goes capture by capture: a folder, or a recording."""
-    return path.is_dir() or path.suffix.lower() in RECORDING_SUFFIXES
+        if answer.status >= 400:
+            refused = ServiceError(str(reply.get("message", answer.reason)), source=self._url)
+            refused.status = answer.status
+            raise refused
+        return reply
 
 
 def packed(capture: Capture) -> tuple[str, bytes]:
@@ -194,15 +153,3 @@ def packed(capture: Capture) -> tuple[str, bytes]:
 def _file(path: Path) -> tuple[str, bytes]:
     with wrap_reader_errors(path, CaptureError, "check the path"):
         return path.name, path.read_bytes()
-
-
-def _form(files: Iterable[tuple[str, bytes]]) -> tuple[str, bytes]:
-    """Return a body of multipart/form-data (RFC 7578) and its type."""
-    border, body = secrets.token_hex(16), io.BytesIO()
-    for name, data in files:
-        quoted = re.sub(r'[\r\n"\\]', "_", name)
-        head = f'Content-Disposition: form-data; name="files"; filename="{quoted}"'
-        kind = "Content-Type: application/octet-stream"
-        body.write(f"--{border}\r\n{head}\r\n{kind}\r\n\r\n".encode() + data + b"\r\n")
-    body.write(f"--{border}--\r\n".encode())
-    return f"multipart/form-data; boundary={border}", body.getvalue()

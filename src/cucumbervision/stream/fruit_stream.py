@@ -32,7 +32,8 @@ if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
     from cucumbervision.methods.result import Fruit, Length
     from cucumbervision.run.fields import Cell
-    from cucumbervision.run.measurer import CaptureResult, DetectedCapture
+    from cucumbervision.run.finders import Detections
+    from cucumbervision.run.measurer import CaptureResult
     from cucumbervision.stream.sources import Arrival
 
 _FAST_SIZE_PX = 640
@@ -276,9 +277,9 @@ class FruitStream:
             if isinstance(detected, Failure):
                 yield detected
                 continue
-            capture = detected.capture
+            capture = detected[0]
             try:
-                frame = self._measured(detected, arrival.received_s, arrival.dropped)
+                frame = self._measured(*detected, arrival.received_s, arrival.dropped)
             except Exception as error:
                 yield Failure.of(error, capture.source, capture.name)
                 continue
@@ -286,7 +287,7 @@ class FruitStream:
 
     def _detected(
         self, arrival: Arrival[Capture | Failure]
-    ) -> tuple[Arrival[Capture | Failure], DetectedCapture | Failure]:
+    ) -> tuple[Arrival[Capture | Failure], tuple[Capture, Detections] | Failure]:
         """Search an arrival; in another thread than the one that measures the frame before it."""
         item = arrival.item
         if isinstance(item, Failure):
@@ -324,25 +325,28 @@ class FruitStream:
             As `Measurer.measure`.
         """
         received_s = time.monotonic() if received_s is None else received_s
-        return self._measured(self.measurer.detect(capture), received_s, dropped, at_s)
+        return self._measured(*self.measurer.detect(capture), received_s, dropped, at_s)
 
     def _measured(
-        self, detected: DetectedCapture, received_s: float, dropped: int, at_s: float | None = None
+        self,
+        capture: Capture,
+        detections: Detections,
+        received_s: float,
+        dropped: int,
+        at_s: float | None = None,
     ) -> StreamedFrame:
         """Track and measure the fruit of a frame; frames come in order."""
-        capture = detected.capture
         if at_s is None:
             at_s = capture.timestamp_s
         if at_s is None:
             at_s = self._own_time(received_s)
         if self._is_elsewhere(capture):
             self._tracker.forget()
-        instances = detected.detections.instances
-        sightings = [sighting_of(detected.capture, instance) for instance in instances]
-        numbers = self._tracker.assign(sightings, detected.capture.intrinsics, at_s)
+        sightings = [sighting_of(capture, instance) for instance in detections.instances]
+        numbers = self._tracker.assign(sightings, capture.intrinsics, at_s)
         self._states = {n: self._states.get(n, _TrackState()) for n in self._tracker.numbers}
         chosen = self._choose(numbers, sightings)
-        result = self.measurer.measure_detected(detected, chosen)
+        result = self.measurer.measure_detected(capture, detections, chosen)
         fruit = tuple(
             self._tracked(result.capture, k, measured, numbers[k], sightings[k])
             for k, measured in enumerate(result.fruit)

@@ -7,8 +7,11 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import deque
 from dataclasses import dataclass, replace
+from itertools import count
 from pathlib import Path
+from queue import SimpleQueue
 from typing import TYPE_CHECKING, Generic, TypeVar
 
 from cucumbervision.capture.camera import FolderCamera, captures_of
@@ -88,13 +91,35 @@ def newest_first(items: Iterable[T]) -> Iterator[Arrival[T]]:
     >>> pairs[-1][0], sum(dropped for _, dropped in pairs) + len(pairs)
     (4, 3)
     """
-    inbox = _Inbox[T]()
-    threading.Thread(target=inbox.fill, args=(items,), name="frames", daemon=True).start()
+    inbox: deque[tuple[int, Arrival[T]]] = deque(maxlen=1)
+    ended: list[BaseException | None] = []
+    numbers, changed, left = count(), threading.Event(), threading.Event()
+
+    def take(item: T) -> bool:
+        inbox.append((next(numbers), Arrival(item, time.monotonic())))
+        changed.set()
+        return not left.is_set()
+
+    def end(error: BaseException | None) -> None:
+        ended.append(error)
+        changed.set()
+
+    _in_thread("frames", items, take, end)
+    before = -1
     try:
-        while (arrival := inbox.take()) is not None:
-            yield arrival
+        while changed.wait():
+            changed.clear()
+            is_last = bool(ended)
+            if inbox:
+                number, arrival = inbox.pop()
+                yield replace(arrival, dropped=number - before - 1)
+                before = number
+            if is_last:
+                break
     finally:
-        inbox.close()
+        left.set()
+    if ended[0] is not None:
+        raise ended[0]
 
 
 def ahead(items: Iterable[T], work: Callable[[T], U]) -> Iterator[U]:
@@ -115,114 +140,53 @@ def ahead(items: Iterable[T], work: Callable[[T], U]) -> Iterator[U]:
     >>> list(ahead("abc", str.upper))
     ['A', 'B', 'C']
     """
-    line = _Line(work)
-    threading.Thread(target=line.fill, args=(items,), name="ahead", daemon=True).start()
+    results: SimpleQueue[tuple[U] | BaseException | None] = SimpleQueue()
+    working, taken, left = threading.Lock(), threading.Semaphore(0), threading.Event()
+
+    def take(item: T) -> bool:
+        with working:
+            if left.is_set():
+                return False
+            results.put((work(item),))
+        taken.acquire()
+        return not left.is_set()
+
+    _in_thread("ahead", items, take, results.put)
     try:
-        while (result := line.take()) is not None:
+        while isinstance(result := results.get(), tuple):
+            taken.release()
             yield result[0]
     finally:
-        line.close()
+        left.set()
+        taken.release()
+        with working:  # a runtime that is computing must not meet the end of the process
+            pass
+    if result is not None:
+        raise result
 
 
-class _Filled(Generic[T]):
-    """What a thread fills with items for a consumer in another thread."""
+def _in_thread(
+    name: str,
+    items: Iterable[T],
+    take: Callable[[T], bool],
+    end: Callable[[BaseException | None], None],
+) -> None:
+    """Take items in a thread until `take` returns False; `end` gets an error of theirs."""
 
-    def __init__(self) -> None:
-        self._changed = threading.Condition()
-        self._error: BaseException | None = None
-        self._ended = self._closed = self._busy = False
-
-    def fill(self, items: Iterable[T]) -> None:
+    def fill() -> None:
+        raised: BaseException | None = None
         try:
             for item in items:
-                if not self._put(item):
+                if not take(item):
                     break
         except BaseException as error:
-            # Raised in the consumer's thread.
-            self._error = error
+            raised = error
         finally:
-            close = getattr(items, "close", None)
-            if close is not None:
+            if close := getattr(items, "close", None):
                 close()  # releases a camera in the thread that used it
-            with self._changed:
-                self._ended, self._busy = True, False
-                self._changed.notify_all()
+            end(raised)
 
-    def _put(self, item: T) -> bool:
-        """Take an item; return whether another one is wanted."""
-        raise NotImplementedError
-
-
-class _Line(_Filled[T], Generic[T, U]):
-    """Holds one result until it is taken."""
-
-    def __init__(self, work: Callable[[T], U]) -> None:
-        super().__init__()
-        self._work = work
-        self._results: list[U] = []
-
-    def _put(self, item: T) -> bool:
-        with self._changed:
-            self._busy = not self._closed
-            if not self._busy:
-                return False
-        result = self._work(item)
-        with self._changed:
-            self._results.append(result)
-            self._busy = False
-            self._changed.notify_all()
-            while self._results and not self._closed:
-                self._changed.wait()
-            return not self._closed
-
-    def take(self) -> tuple[U] | None:
-        with self._changed:
-            while not self._results and not self._ended:
-                self._changed.wait()
-            self._changed.notify_all()
-            if self._results:
-                return (self._results.pop(),)
-            if self._error is not None:
-                raise self._error
-            return None
-
-    def close(self) -> None:
-        with self._changed:
-            self._closed = True
-            self._changed.notify_all()
-            # A runtime that is computing must not meet the end of the process.
-            while self._busy:
-                self._changed.wait()
-
-
-class _Inbox(_Filled[T]):
-    """Holds the newest item."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._newest: Arrival[T] | None = None
-
-    def _put(self, item: T) -> bool:
-        arrival = Arrival(item, time.monotonic())
-        with self._changed:
-            before = self._newest
-            missed = 0 if before is None else before.dropped + 1
-            self._newest = replace(arrival, dropped=missed)
-            self._changed.notify_all()
-            return not self._closed
-
-    def take(self) -> Arrival[T] | None:
-        with self._changed:
-            while self._newest is None and not self._ended:
-                self._changed.wait()
-            arrival, self._newest = self._newest, None
-            if arrival is None and self._error is not None:
-                raise self._error
-            return arrival
-
-    def close(self) -> None:
-        with self._changed:
-            self._closed = True
+    threading.Thread(target=fill, name=name, daemon=True).start()
 
 
 def paced(

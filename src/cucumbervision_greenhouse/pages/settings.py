@@ -200,13 +200,12 @@ def _models() -> None:
         "fruit": _("looks at each fruit"),
         "look": _("looks at each end"),
     }
-    states = {"embedded": _("built in"), "pulled": _("fetched"), "not pulled": _("not fetched")}
     lines = [
         {
             _("Network"): model.name,
             _("Does"): tasks.get(model.task, model.task),
-            _("Here"): states[registry.state(model.name)],
-            _("Size"): f"{registry.size_bytes(model.name) / 1e6:.0f} MB",
+            _("Here"): _("built in") if model.embedded else _("fetched"),
+            _("Size"): f"{model.size_bytes / 1e6:.0f} MB",
             _("Licence"): model.licence,
         }
         for model in registry.models

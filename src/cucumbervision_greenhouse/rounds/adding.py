@@ -17,7 +17,6 @@ from cucumbervision.run.batch import (
     Item,
     LoopOptions,
     Outcome,
-    ReadCapture,
     ResultWorker,
     in_process,
     measure_all,
@@ -153,7 +152,7 @@ class RoundCapture(Listed):
 class _New(ResultWorker):
     """Measures captures that are new in a round."""
 
-    def read(self, item: Item) -> Outcome[CaptureResult] | ReadCapture:
+    def read(self, item: Item) -> Outcome[CaptureResult] | tuple[Capture, str]:
         """Read a capture, unless the round has it, deleted or not."""
         if isinstance(item, RoundCapture) and item.place is None:
             return Outcome()

@@ -150,7 +150,7 @@ def split(
 @app.command()
 def pseudo(folder: Folder, out: OutOrSame = None) -> None:
     """Add masks by SAM to labels with boxes only, as pseudo-labels; the test split is skipped."""
-    from cucumbervision.networks.loaded import open_segmenter
+    from cucumbervision.networks.find import open_segmenter
     from cucumbervision_lab.cli.screen import show, ticking
     from cucumbervision_lab.data.coco import write_coco
     from cucumbervision_lab.data.derive import add_pseudo_masks

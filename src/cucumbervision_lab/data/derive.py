@@ -39,7 +39,7 @@ from cucumbervision_lab.data.yolo import write_yolo
 if TYPE_CHECKING:
     from collections.abc import Container, Iterator, Mapping, Sequence
 
-    from cucumbervision.networks.loaded import NetworkSegmenter
+    from cucumbervision.networks.find import NetworkSegmenter
     from cucumbervision_greenhouse.store.records import CaptureRecord, FruitRow, Round, StopRecord
     from cucumbervision_greenhouse.store.repository import Store
 

@@ -21,9 +21,8 @@ from cucumbervision.networks.confidence import (
     detector_floor,
     pose_floor,
 )
-from cucumbervision.networks.find import each_fruit_once
+from cucumbervision.networks.find import NetworkLoader, each_fruit_once
 from cucumbervision.networks.keypoint_axis import place_keypoints
-from cucumbervision.networks.loaded import NetworkLoader
 from cucumbervision_lab.arrays import Array, Array32, Pixels
 from cucumbervision_lab.data.coco import read_coco
 from cucumbervision_lab.data.labels import Label, picture_size
@@ -33,7 +32,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.frames import Capture
     from cucumbervision.fruit.instance import Instance
-    from cucumbervision.networks.loaded import NetworkSegmenter
+    from cucumbervision.networks.find import NetworkSegmenter
     from cucumbervision.networks.looks import FruitLooker
     from cucumbervision.networks.yolo import YoloDetector
     from cucumbervision_lab.data.labels import DataSet, Label, LabelledPicture

@@ -19,7 +19,7 @@ from cucumbervision.files import write_bytes
 from cucumbervision.fruit.crops import HEIGHT_PX, PLANES, WIDTH_PX, fruit_crop
 from cucumbervision.fruit.masks import box_ious, mask_iou
 from cucumbervision.networks.confidence import CANDIDATE_CONFIDENCE
-from cucumbervision.networks.loaded import NetworkLoader
+from cucumbervision.networks.find import NetworkLoader
 from cucumbervision_lab.arrays import Array, Array32, Mask, Pixels, Progress
 from cucumbervision_lab.data.labels import KEYPOINT_ORDER, ticked
 from cucumbervision_lab.data.splits import is_held_out

@@ -525,7 +525,7 @@ def photo_set(folder: Path, out: Path, *, as_d435: bool = False) -> DataSet:
     DataSetError, CaptureError
         If there is no such photo, or one cannot be read.
     """
-    from cucumbervision.networks.loaded import open_segmenter
+    from cucumbervision.networks.find import open_segmenter
 
     audit = audited(folder, outlines=True)
     pictures = tuple(

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from cucumbervision.capture.source import example_captures
 from cucumbervision.methods.result import LengthDefinition, MethodName
-from cucumbervision.run.measurer import CaptureResult, DetectedCapture, Measurer
+from cucumbervision.run.measurer import CaptureResult, Measurer
 from cucumbervision.run.options import MeasureOptions
 from cucumbervision_greenhouse.rounds.adding import add_captures
 from cucumbervision_greenhouse.rounds.from_store import find_round
@@ -67,8 +68,8 @@ def test_a_fruit_that_is_not_found_again_is_measured_in_its_outline(
     store.set_verdict([left.key], Verdict.ACCEPTED)
     find = Measurer.measure_detected
 
-    def without_the_left(measurer: Measurer, detected: DetectedCapture) -> CaptureResult:
-        result = find(measurer, detected)
+    def without_the_left(measurer: Measurer, *detected: Any) -> CaptureResult:
+        result = find(measurer, *detected)
         edges = np.array([fruit.instance.box[0] for fruit in result.fruit])
         kept = [fruit for fruit, x in zip(result.fruit, edges, strict=True) if x > edges.min()]
         return replace(result, fruit=tuple(kept))

@@ -13,7 +13,7 @@ from cucumbervision.capture.pictures import write_png
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import TrainingError
-from cucumbervision.networks.loaded import NetworkLoader
+from cucumbervision.networks.find import NetworkLoader
 from cucumbervision_lab.cli.train import app
 from cucumbervision_lab.data.coco import write_coco
 from cucumbervision_lab.data.labels import DataSet, Label, LabelledPicture

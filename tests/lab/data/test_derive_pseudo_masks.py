@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cucumbervision.capture.pictures import write_png
-from cucumbervision.networks.loaded import NetworkSegmenter, open_segmenter
+from cucumbervision.networks.find import NetworkSegmenter, open_segmenter
 from cucumbervision_lab.data.checks import check_dataset
 from cucumbervision_lab.data.derive import add_pseudo_masks
 from cucumbervision_lab.data.labels import DataSet, Label

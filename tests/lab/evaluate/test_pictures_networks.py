@@ -10,8 +10,7 @@ from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
 from cucumbervision.fruit.instance import Instance
 from cucumbervision.fruit.masks import box_of_mask
-from cucumbervision.networks.find import Detectors
-from cucumbervision.networks.loaded import NetworkLoader
+from cucumbervision.networks.find import Detectors, NetworkLoader
 from cucumbervision.networks.registry import load_registry
 from cucumbervision.networks.yolo import YoloDetector
 from cucumbervision_lab.data.labels import Label

@@ -11,7 +11,7 @@ from cucumbervision.errors import ModelError
 from cucumbervision.fruit.crops import END_PX, PLANES, EndCrop
 from cucumbervision.fruit.instance import UNKNOWN_ORDER
 from cucumbervision.networks.confidence import DETECTOR_SIZES_PX
-from cucumbervision.networks.loaded import NetworkLoader
+from cucumbervision.networks.find import NetworkLoader
 from cucumbervision.networks.registry import Registry, file_sha256, load_registry
 
 onnx = pytest.importorskip("onnx")

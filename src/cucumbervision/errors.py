@@ -246,10 +246,6 @@ class ProfileError(CucumberVisionError):
     """A crop profile that cannot be read, or whose figures contradict each other."""
 
 
-class ForecastError(CucumberVisionError):
-    """Fruit, links or rates that nothing can be forecast from."""
-
-
 class RoundError(CucumberVisionError):
     """Poses, stops or fruit of a round that cannot be what they are declared to be."""
 

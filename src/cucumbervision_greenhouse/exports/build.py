@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from cucumbervision._version import __version__
 from cucumbervision.about import LICENCE, source_offer
 from cucumbervision.crop.grades import grade
-from cucumbervision.errors import CucumberVisionError, ForecastError
+from cucumbervision.errors import CucumberVisionError
 from cucumbervision.methods.flags import flag_remarks
 from cucumbervision.run.fields import FIELDS, Field, read_fields, utc
 from cucumbervision_greenhouse.forecast.picking import PickKind, pick_list, plan_work
@@ -84,7 +84,9 @@ def round_tables(
     content = read_round(store, round_key)
     table = fruit_table(content)
     now_s = time.time()
-    forecast, note = _forecast(store, view, content, profile, days, now_s)
+    forecast = None
+    if profile is not None:
+        forecast = forecast_today(store, view, profile, now_s, content, days=days)
     measured_with = store.artifacts(round_key)
     called = profile_name or (profile.title if profile else view.profile)
     provenance = _provenance(measured_with.values(), profile, called, len(content.stops))
@@ -113,24 +115,8 @@ def round_tables(
         provenance=_about(view, provenance),
         tables={name: ExportTable.of(name, table_lines) for name, table_lines in lines.items()},
         bins=_length_bins([100 * x for x in hanging_lengths_m(table)]),
-        note=note,
+        note="no crop profile was named" if profile is None else "",
     )
-
-
-def _forecast(
-    store: Store,
-    view: Round,
-    content: RoundContent,
-    profile: CropProfile | None,
-    days: int,
-    now_s: float,
-) -> tuple[Forecast | None, str]:
-    if profile is None:
-        return None, "no crop profile was named"
-    try:
-        return forecast_today(store, view, profile, now_s, content, days=days), ""
-    except ForecastError as error:
-        return None, str(error)
 
 
 def _hashes(used: Sequence[ArtifactRecord]) -> dict[str, str]:

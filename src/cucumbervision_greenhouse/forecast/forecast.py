@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.crop.grades import NO_CLASS, possible_classes
-from cucumbervision.errors import ForecastError
 from cucumbervision.methods.result import INTERVAL_Z
 from cucumbervision_greenhouse.forecast.length_draws import FruitState, draw_lengths, lengths_today
 
@@ -23,36 +22,6 @@ if TYPE_CHECKING:
 
     from cucumbervision.crop.profiles import CropProfile
     from cucumbervision_greenhouse.forecast.growth import Growth
-
-
-def _check_fruit(fruit: Sequence[FruitState], classes: Sequence[str]) -> None:
-    """Check the fruit of a forecast.
-
-    Raises
-    ------
-    ForecastError
-        Names the first fruit with an invalid figure or `best_class`, or a duplicate identifier.
-    """
-    names: set[str] = set()
-    for state in fruit:
-        figures = (state.length_m, state.sd_m, state.day, state.position_m)
-        if not all(map(math.isfinite, figures)) or state.length_m <= 0 or state.sd_m <= 0:
-            raise ForecastError(
-                f"fruit {state.fruit_id!r}: length {state.length_m} m, sd {state.sd_m} m, "
-                f"day {state.day}, position {state.position_m} m",
-                remedy="give finite figures, length and sd positive; leave unmeasured fruit out",
-            )
-        if state.best_class and state.best_class not in classes:
-            raise ForecastError(
-                f"fruit {state.fruit_id!r}: no class is called {state.best_class!r}",
-                remedy=f"take one of {', '.join(classes)}",
-            )
-        if state.fruit_id in names:
-            raise ForecastError(
-                f"two fruit are called {state.fruit_id!r}",
-                remedy="give each fruit a name of its own",
-            )
-        names.add(state.fruit_id)
 
 
 @lru_cache(maxsize=4096)  # a house has few rows, and many fruit in each
@@ -81,23 +50,11 @@ class DetectionRates:
         Share of the fruit that are found, and its standard deviation.
     false : float
         Share of the detections that are false positives or duplicates.
-
-    Raises
-    ------
-    ForecastError
-        If one of them is not a share.
     """
 
     found: float = 1.0
     found_sd: float = 0.0
     false: float = 0.0
-
-    def __post_init__(self) -> None:
-        if not (0 < self.found <= 1 and 0 <= self.found_sd < 1 and 0 <= self.false < 1):
-            raise ForecastError(
-                f"found {self.found} (sd {self.found_sd}), false {self.false}",
-                remedy="give shares from 0 to 1, of which something is found and not all is false",
-            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,11 +168,6 @@ def forecast(
     level : float
         Of the intervals.
 
-    Raises
-    ------
-    ForecastError
-        If a fruit's figure or an option is invalid, or an identifier occurs twice.
-
     Examples
     --------
     >>> from cucumbervision_greenhouse.forecast.growth import GrowthPrior, fit_growth
@@ -231,8 +183,6 @@ def forecast(
     >>> bool(week.house.expected[2, 0] > 40)  # most are class I in two days
     True
     """
-    _check(days, draws, scale_sd, level)
-    _check_fruit(fruit, [c.name for c in profile.classes])
     hanging = sorted(
         (f for f in fruit if not f.picked),
         key=lambda f: (natural_key(f.row), f.side, f.position_m, f.fruit_id),
@@ -307,14 +257,6 @@ def _possible_today(
         ends = float(low_m), math.inf if state.at_least else float(high_m)
         possible[k] = possible_classes(*ends, profile.edges_m, by_bin)
     return tuple(possible)
-
-
-def _check(days: int, draws: int, scale_sd: float, level: float) -> None:
-    if days < 0 or draws < 1 or not 0 <= scale_sd < 1 or not 0 < level < 1:
-        raise ForecastError(
-            f"{days} days, {draws} draws, scale sd {scale_sd}, level {level}",
-            remedy="give 0 or more days, at least one draw, and shares from 0 to 1",
-        )
 
 
 class _Tally:

@@ -19,8 +19,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.errors import ForecastError
-
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
@@ -80,11 +78,6 @@ class Link:
         The lengths, metres.
     sd0_m, sd1_m : float
         Their standard deviations, metres.
-
-    Raises
-    ------
-    ForecastError
-        If a figure is invalid, or the days are not in order.
     """
 
     fruit_id: str
@@ -95,16 +88,6 @@ class Link:
     day1: float
     length1_m: float
     sd1_m: float
-
-    def __post_init__(self) -> None:
-        figures = (self.day0, self.day1, self.length0_m, self.length1_m, self.sd0_m, self.sd1_m)
-        sizes = figures[2:]
-        if not np.isfinite(figures).all() or min(sizes) <= 0 or self.day1 <= self.day0:
-            raise ForecastError(
-                f"link of fruit {self.fruit_id!r}: day {self.day0} to {self.day1}, lengths "
-                f"{self.length0_m} and {self.length1_m} m, sd {self.sd0_m} and {self.sd1_m} m",
-                remedy="give finite days, the earlier first, and positive metres",
-            )
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.errors import ForecastError
 from cucumbervision_greenhouse.forecast.growth import (
     LineSums,
     links_by_fruit,
@@ -97,23 +96,12 @@ def fruit_lines(fruit: Sequence[FruitState], growth: Growth, scale_sd: float) ->
     ----------
     fruit, growth, scale_sd
         As `draw_lengths` takes them.
-
-    Raises
-    ------
-    ForecastError
-        If a fruit has links after its day.
     """
     links = links_by_fruit(growth.links)
     histories = []
     for state in fruit:
         alone_var = max(state.sd_m**2 - (scale_sd * state.length_m) ** 2, (0.1 * state.sd_m) ** 2)
         past = measured_points(links[state.fruit_id]) if state.fruit_id in links else []
-        if past and past[-1][0] > state.day:
-            raise ForecastError(
-                f"fruit {state.fruit_id!r} was measured on day {state.day:g}, a link of it ends "
-                f"on day {past[-1][0]:g}",
-                remedy="give the fruit as last measured, on the links' own count of days",
-            )
         last = (state.day, state.length_m, alone_var**0.5)
         histories.append([*(point for point in past if point[0] < state.day), last])
     sums = LineSums.of(histories, growth.prior)
@@ -189,18 +177,7 @@ def draw_lengths(
         Of the fruit.
     newcomer_m : ndarray of float32, shape (days + 1, draws)
         Of a newcomer in a row without links.
-
-    Raises
-    ------
-    ForecastError
-        If a fruit has links after its day, or was measured after `today`.
     """
-    if late := [state for state in fruit if state.day > today]:
-        raise ForecastError(
-            f"fruit {late[0].fruit_id!r} was measured on day {late[0].day:g}, after today, day "
-            f"{today:g}",
-            remedy="give the day of the latest round as today",
-        )
     lines, spreads = fruit_lines(fruit, growth, scale_sd), growth.prior.spreads
     [later] = rng.spawn(1)  # today's draws do not depend on the number of days
     length_m, growth_m, newcomer_growth_m = _drawn_lines(fruit, lines, growth, draws, rng)

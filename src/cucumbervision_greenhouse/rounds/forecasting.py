@@ -13,10 +13,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.crop.grades import class_of, grade
-from cucumbervision.errors import ForecastError
 from cucumbervision.methods.intervals import SCALE_SD
 from cucumbervision.methods.result import UNKNOWN_SD
-from cucumbervision_greenhouse.forecast.forecast import Counts, DetectionRates, forecast
+from cucumbervision_greenhouse.forecast.forecast import DetectionRates, forecast
 from cucumbervision_greenhouse.forecast.growth import GrowthPrior, Link, fit_growth
 from cucumbervision_greenhouse.forecast.length_draws import FruitState
 from cucumbervision_greenhouse.forecast.picking import Pick, PickKind, pick_list
@@ -28,8 +27,6 @@ from cucumbervision_greenhouse.store.links import LinkKind
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
-
-    from numpy.typing import NDArray
 
     from cucumbervision.crop.profiles import CropProfile
     from cucumbervision.methods.result import Length
@@ -85,7 +82,7 @@ def fruit_states(
     Fruit that were picked at `picked_before_s` or later count as hanging.
     """
     states = []
-    for view in (line for line in table):
+    for view in table:
         length = view.known_length
         if view.doubtful or length is None or not length.value_m > 0:
             continue
@@ -236,7 +233,7 @@ class Today:
     age : Age
         What it is worth by that.
     forecast : Forecast, optional
-        Of today alone; None where the round is too old, or holds nothing to forecast.
+        Of today alone; None where the round is too old.
     rows : tuple of RowPicks
         What is to be picked, in the order of the walk; fruit picked today are still in it.
     best : mapping of str to str
@@ -312,7 +309,7 @@ def forecast_today(
 ) -> Forecast:
     """Forecast a round from today on: growth from its links, classes from a profile.
 
-    Today's numbers are those of the fruit as they are counted everywhere (`with_counts_today`).
+    Today's numbers are those of the fruit as they are counted everywhere.
     Later fruit without a length are allowed for (`detection_rates`), and the error that all lengths
     share (`shared_scale_sd`). For a round that is too old for a forecast of today, day 0 is the day
     of its walk.
@@ -325,11 +322,6 @@ def forecast_today(
         Days ahead; 0 for today alone.
     picked_before_s : float
         Fruit that were picked later than that still count, as on the morning of a day.
-
-    Raises
-    ------
-    ForecastError
-        If nothing can be forecast.
     """
     content = content or read_round(store, round_summary.key)
     table = fruit_table(content)
@@ -342,11 +334,12 @@ def forecast_today(
         detection=detection_rates(table),
         scale_sd=shared_scale_sd(store.artifacts(round_summary.key).values()),
     )
-    return with_counts_today(result)
+    _count_today(result)
+    return result
 
 
-def with_counts_today(result: Forecast) -> Forecast:
-    """Return a forecast whose numbers of today are those of its fruit, each counted in its class.
+def _count_today(result: Forecast) -> None:
+    """Make the numbers of today those of its fruit, each counted in its class.
 
     The undecided are in no class. The ranges hold these numbers, and reach as far as the forecast's
     for undecided, missed and mistaken fruit; of what is ready today they are the same.
@@ -358,34 +351,15 @@ def with_counts_today(result: Forecast) -> Forecast:
         if name in result.classes:
             counted[index_of[state.row], result.classes.index(name)] += 1
     picked = np.isin(result.classes, result.pick)
-    by_row = _counted_today(result.by_row, counted)
-    house = _counted_today(result.house, counted.sum(axis=0))
-    return replace(
-        result,
-        by_row=by_row,
-        house=house,
-        row_picks=_as_today(result.row_picks, by_row, picked),
-        picks=_as_today(result.picks, house, picked),
-    )
-
-
-def _counted_today(counts: Counts, counted: NDArray[np.float64]) -> Counts:
-    """Return numbers, shape (..., D, C), with those of today as counted, shape (..., C)."""
-    expected, low_count, high_count = counts.expected.copy(), counts.low.copy(), counts.high.copy()
-    expected[..., 0, :] = counted
-    low_count[..., 0, :] = np.minimum(low_count[..., 0, :], counted)
-    high_count[..., 0, :] = np.maximum(high_count[..., 0, :], counted)
-    return Counts(expected, low_count, high_count)
-
-
-def _as_today(counts: Counts, standing: Counts, picked: NDArray[np.bool_]) -> Counts:
-    """Return what becomes ready, with today what stands ready in the classes that are picked."""
-    values = []
-    for name in ("expected", "low", "high"):
-        value = getattr(counts, name).copy()
-        value[..., 0, picked] = getattr(standing, name)[..., 0, picked]
-        values.append(value)
-    return Counts(*values)
+    for standing, ready, number in (
+        (result.by_row, result.row_picks, counted),
+        (result.house, result.picks, counted.sum(axis=0)),
+    ):
+        standing.expected[..., 0, :] = number
+        np.minimum(standing.low[..., 0, :], number, out=standing.low[..., 0, :])
+        np.maximum(standing.high[..., 0, :], number, out=standing.high[..., 0, :])
+        for name in ("expected", "low", "high"):
+            getattr(ready, name)[..., 0, picked] = getattr(standing, name)[..., 0, picked]
 
 
 def day_0_s(round_summary: Round, now_s: float) -> float:
@@ -430,12 +404,9 @@ def read_today(
     best = content.group_of
     if age is Age.USELESS:
         return Today(age_days=days, age=age, forecast=None, rows=(), best=best)
-    try:
-        result = forecast_today(
-            store, round_summary, profile, now_s, content, days=0, picked_before_s=midnight_s(now_s)
-        )
-    except ForecastError:
-        return Today(age_days=days, age=age, forecast=None, rows=(), best=best)
+    result = forecast_today(
+        store, round_summary, profile, now_s, content, days=0, picked_before_s=midnight_s(now_s)
+    )
     simulated = frozenset(view.key for view in content.views if view.simulated)
     return Today(
         age_days=days,

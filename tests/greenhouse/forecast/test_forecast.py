@@ -8,7 +8,6 @@ import pytest
 from scipy.special import ndtr
 
 from cucumbervision.crop.profiles import load_profile
-from cucumbervision.errors import ForecastError
 from cucumbervision_greenhouse.forecast.forecast import DetectionRates, Forecast, forecast
 from cucumbervision_greenhouse.forecast.growth import GrowthPrior, Link, Spreads, fit_growth
 from cucumbervision_greenhouse.forecast.length_draws import FruitState
@@ -167,43 +166,6 @@ def test_empty_house_is_no_error() -> None:
     assert found.house.expected.sum() == 0
     assert found.rows == ()
     assert found.ready.shape == (0,)
-
-
-@pytest.mark.parametrize(
-    ("change", "fault"),
-    [
-        ({"length_m": float("nan")}, "leave unmeasured fruit out"),
-        ({"sd_m": 0.0}, "length and sd positive"),
-        ({"fruit_id": "1-0"}, "two fruit are called '1-0'"),
-        ({"best_class": "III"}, "no class is called 'III'"),
-    ],
-)
-def test_fruit_that_cannot_be_are_refused(change: dict[str, object], fault: str) -> None:
-    good, bad = fruit_of(0.3, 2)
-    with pytest.raises(ForecastError, match=fault):
-        forecast([good, replace(bad, **change)], UNSEEN, LONG)  # type: ignore[arg-type]
-
-
-def test_days_that_contradict_each_other_are_refused() -> None:
-    links = [Link("1-0", "1", 0, 0.2, 0.004, 2, 0.26, 0.004)]
-    with pytest.raises(ForecastError, match=r"'1-0' was measured on day 0, a link .* on day 2"):
-        forecast(fruit_of(0.26), fit_growth(links, PRIOR), LONG)
-    with pytest.raises(ForecastError, match="after today, day -1"):
-        forecast(fruit_of(0.26), UNSEEN, LONG, today=-1.0)
-
-
-@pytest.mark.parametrize(
-    "options", [{"days": -1}, {"level": 1.0}, {"draws": 0}, {"scale_sd": -0.1}]
-)
-def test_options_that_cannot_be_are_refused(options: dict[str, float]) -> None:
-    with pytest.raises(ForecastError, match="give"):
-        forecast(fruit_of(0.3), UNSEEN, LONG, **options)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("options", [{"found": 0.0}, {"found_sd": -1.0}, {"false": 1.0}])
-def test_detection_that_cannot_be_is_refused(options: dict[str, float]) -> None:
-    with pytest.raises(ForecastError, match="give shares"):
-        DetectionRates(**options)
 
 
 def test_three_thousand_fruit_take_less_than_a_second_of_a_core() -> None:

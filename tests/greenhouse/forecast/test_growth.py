@@ -8,7 +8,6 @@ import pytest
 from tests.simulated_houses import HouseSettings, simulate_house
 
 from cucumbervision.crop.profiles import load_profile
-from cucumbervision.errors import ForecastError
 from cucumbervision_greenhouse.forecast.growth import Growth, GrowthPrior, Link, Spreads, fit_growth
 
 SPREADS = Spreads(0.008, 0.002, 0.005, 0.003, 0.003)
@@ -142,13 +141,3 @@ def test_growth_that_slows_is_measured_against_the_length() -> None:
     prior = replace(PRIOR, spreads=replace(SPREADS, day=1e-6))
     assert fit_growth(links, prior).mean_m == pytest.approx(0.015, abs=0.001)
     assert fit_growth(links, replace(prior, full_m=0.40)).mean_m == pytest.approx(0.03, abs=0.001)
-
-
-@pytest.mark.parametrize(
-    "change", [{"day1": 0.0}, {"length0_m": -0.1}, {"sd1_m": 0.0}, {"length1_m": float("nan")}]
-)
-def test_link_that_cannot_be_is_refused(change: dict[str, float]) -> None:
-    days, lengths = {"day0": 0.0, "day1": 1.0}, {"length0_m": 0.2, "length1_m": 0.23}
-    good = {**days, **lengths, "sd0_m": 0.004, "sd1_m": 0.004}
-    with pytest.raises(ForecastError, match=r"link of fruit 'a': .*; give finite days"):
-        Link("a", "1", **{**good, **change})

@@ -86,8 +86,8 @@ def store(tmp_path: Path) -> Iterator[Store]:
 
 def link(store: Store, first: str, last: str) -> None:
     """Link a fruit of a day with that of a later one, surely."""
-    rounds = [store.detection(key).view.round_key for key in (first, last)]
-    store.save_growth(*rounds, [LinkRecord(LinkKind.GROWTH, first, last, 1.0)])
+    earlier, later = (store.detection(key).view.round_key for key in (first, last))
+    store.save_growth(earlier, later, [LinkRecord(LinkKind.GROWTH, first, last, 1.0)])
 
 
 def compare(store: Store, *rounds: str) -> DayComparison:

@@ -1,204 +1,273 @@
-"""Every figure of a round is the same on all pages, in all files and commands."""
+"""The numbers of one day are the same on all pages, in all files and commands.
+
+Two rows with fruit that are decided, undecided, seen in part, not measured, picked, deleted and
+added by hand; and pictures of no row. Every number is known beforehand.
+"""
 
 from __future__ import annotations
 
+import csv
 import json
+import re
 import time
 from collections import Counter
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 pytest.importorskip("streamlit")
 
 from streamlit.testing.v1 import AppTest
 from tests.greenhouse.pages.app_pages import tables
+from typer.testing import CliRunner
 
-from cucumbervision.crop.grades import class_name
+from cucumbervision.cli.app import app as command
 from cucumbervision.crop.profiles import load_profile
-from cucumbervision.methods.result import Length
-from cucumbervision_greenhouse.exports.build import round_tables
-from cucumbervision_greenhouse.forecast.picking import (
-    PickKind,
-    hours_words,
-    pick_list,
-    plan_work,
-    work_of,
-)
-from cucumbervision_greenhouse.pages.accuracy import measured_round
-from cucumbervision_greenhouse.round_view import grade_round, length_lines, map_lines
-from cucumbervision_greenhouse.rounds.forecasting import forecast_today
-from cucumbervision_greenhouse.rounds.from_store import find_round, read_round
-from cucumbervision_greenhouse.rounds.fruit_table import fruit_table
-from cucumbervision_greenhouse.rounds.merge_and_link import DAY_S, merge_round
-from cucumbervision_greenhouse.settings import Units
-from cucumbervision_greenhouse.store.records import Round, Verdict, key_of
+from cucumbervision.methods.result import Length, LengthDefinition
+from cucumbervision_greenhouse.exports import ExportFormat
+from cucumbervision_greenhouse.exports.build import RoundTables, round_tables
+from cucumbervision_greenhouse.exports.writers import write_exports
+from cucumbervision_greenhouse.rounds.merge_and_link import merge_round
+from cucumbervision_greenhouse.store.records import FruitRow, Round, StopRecord, Verdict, key_of
 from cucumbervision_greenhouse.store.repository import Store
-
-WALK = key_of("walk")
 
 pytestmark = pytest.mark.usefixtures("fresh_caches")
 
+WALK = key_of("walk")
+KIND = LengthDefinition.CENTRELINE
+DAY = Round(key_of("counts"), "counts", "house 1", time.time() - 600, "long-cucumber")
+HANGS = {"class I": 4, "class II": 2, "too short": 1, "too long": 1, "undecided": 5}
+HANGS["not measured"] = 1
+MAY_BE_READY = 3  # of the undecided; others are class II or too short, or of unknown length
+
+# By row: lengths in cm with the half width of their interval.
+ROWS: dict[str, list[tuple[float, float]]] = {
+    "1": [(28.0, 0.5), (30.0, 0.5), (24.9, 0.5), (22.0, 0.5), (15.0, 0.5), (36.5, 0.5)],
+    "2": [(27.0, 0.5), (29.0, 0.5), (25.1, 0.5), (20.2, 0.5), (23.0, 0.5), (31.0, 0.5)],
+}
+PICKED, DELETED, ADDED = 31.0, 30.5, 33.0  # cm
+
+
+def length_of(value_cm: float, half_cm: float) -> Length:
+    ends = (value_cm - half_cm) / 100, (value_cm + half_cm) / 100
+    return Length(value_cm / 100, KIND, *ends, KIND)
+
+
+def stop_of(store: Store, row: str | None, number: int, fruit: list[FruitRow]) -> StopRecord:
+    """A stop of the bundled captures with other fruit."""
+    template = store.stop(store.stops(WALK)[0].key)
+    like = template.captures[0].fruit[0]
+    shown = tuple(
+        like.with_(
+            fruit=k,
+            length=one.length,
+            flags=one.flags,
+            inner_arc_m=0.002,
+            chord_m=0.2,
+            volume_m3=4e-4,
+            centreline_m=one.length_m,
+            hidden_share=0.0,
+            offset_m=0.0,
+            offset_sd_m=0.005,
+        )
+        for k, one in enumerate(fruit, 1)
+    )
+    return replace(
+        template,
+        key=key_of("counts", row, number),
+        round_key=DAY.key,
+        row=row,
+        side="left",
+        position_m=None if row is None else 2.0 * number,
+        step=number + 1,
+        taken_s=DAY.started_s + number,
+        captures=(replace(template.captures[0], fruit=shown),),
+    )
+
+
+def save_row(store: Store, row: str) -> None:
+    for number, (value_cm, half_cm) in enumerate(ROWS[row]):
+        fruit = [FruitRow(1, length=length_of(value_cm, half_cm))]
+        store.save_stop(stop_of(store, row, number, fruit))
+
 
 @pytest.fixture
-def walked(store: Store) -> str:
-    """A round of two days ago, every stop taken twice; of its fruit one is deleted, one picked,
-    one seen only in part."""
-    begun_s = time.time() - 2 * DAY_S
-    one = Round(key_of("figures"), "figures", "house 1", begun_s, "long-cucumber")
-    store.save_round(one)
-    for n, stop in enumerate(store.stops(WALK)):
-        for again in (0, 1):
-            store.save_stop(
-                replace(
-                    store.stop(stop.key),
-                    key=key_of("figures", n, again),
-                    round_key=one.key,
-                    row="1",
-                    side="left",
-                    position_m=5.0 * n + 0.01 * again,
-                    step=2 * n + again,
-                    taken_s=begun_s + 2 * n + again,
-                )
-            )
-    merge_round(store, one.key)
-    best = [view for view in store.detections(one.key) if view.best]
-    assert max(view.views for view in best) > 1
-    deleted, picked, hidden = best[0], best[1], best[2]
-    page("results", one.key, fruit=deleted.key, press="Not a fruit")
-    store.pick([picked.key])
-    for view in store.detections(one.key):
-        if view.group == hidden.group:
-            seen = view.with_(flags="end-hidden", length=Length(0.26))
-            store.correct(view.key, seen)
-    return one.key
+def day(store: Store) -> str:
+    """The round, with one fruit more of each kind that counts otherwise in row 2."""
+    store.save_round(DAY)
+    for row in ROWS:
+        save_row(store, row)
+    part = FruitRow(1, length=length_of(26.0, 3.0), flags="end-hidden")
+    others = [part, FruitRow(1), FruitRow(1, length=length_of(DELETED, 0.5))]
+    others.append(FruitRow(1, length=length_of(ADDED, 0.5)))
+    others.append(FruitRow(1, length=length_of(26.5, 0.5), flags="depth-unaligned"))
+    for number, one in enumerate(others, 10):
+        store.save_stop(stop_of(store, "2", number, [one]))
+    merge_round(store, DAY.key)
+    by_cm: dict[float, str] = {
+        round(100 * (x.length_m or 0), 1): x.key for x in store.detections(DAY.key)
+    }
+    store.set_verdict([by_cm[DELETED]], Verdict.REJECTED)
+    store.pick([by_cm[PICKED]])
+    # One that somebody added, and that looks like none.
+    stop = store.stop(key_of("counts", "2", 13))
+    found = stop.captures[0].fruit[0].with_(fruit=2, flags="doubtful")
+    store.add_fruit(stop.key, stop.captures[0].name, found)
+    store.set_verdict([by_cm[ADDED]], Verdict.REJECTED)
+    return DAY.key
 
 
-def page(
-    name: str, round_key: str, *, fruit: str = "", press: str = "", **state: object
-) -> AppTest:
+def page(name: str, round_key: str = DAY.key, **opened: str) -> AppTest:
     script = f"from cucumbervision_greenhouse.pages import {name}\n{name}.page()\n"
     test = AppTest.from_string(script, default_timeout=600)
-    for key, value in {"round": round_key, **state}.items():
+    for key, value in {"round": round_key, **opened}.items():
         test.session_state[key] = value
-    if fruit:
-        test.query_params["fruit"] = fruit
     test.run()
-    if press:
-        next(button for button in test.button if button.label == press).click().run()
     assert not test.exception
     return test
 
 
-def table(test: AppTest) -> list[dict[str, str]]:
-    """The lines of a page's last table, as it is drawn."""
-    return tables(test)[-1]
+def said(test: AppTest) -> str:
+    parts = (*test.markdown, *test.caption, *test.info)
+    return " ".join(str(part.value) for part in parts).replace("\\", "")
 
 
-def captions(test: AppTest) -> str:
-    return " ".join(str(part.value) for part in (*test.markdown, *test.caption))
+def lists_of(test: AppTest, kind: str) -> list[dict[str, Any]]:
+    drawn = [x for x in test.get("bidi_component") if kind in x.proto.component_name]
+    return [json.loads(one.proto.json) for one in drawn]
 
 
-def test_every_fruit_and_class_is_counted_once_everywhere(store: Store, walked: str) -> None:
-    profile, units = load_profile("long-cucumber"), Units("cm")
-    files = round_tables(store, walked, profile)
-    lines: list[dict[str, Any]] = files["fruit"].rows
-    graded = grade_round(read_round(store, walked), fruit_table(read_round(store, walked)), profile)
-
-    # The list of the results: each fruit of the files, with its length and class.
-    results = page("results", walked)
-    [drawn] = [x for x in results.get("bidi_component") if "fruitlist" in x.proto.component_name]
-    listed = json.loads(drawn.proto.json)["fruit"]
-    assert f"{len(lines)} fruit" in json.loads(drawn.proto.json)["words"]
-    lengths = Counter(one["says"][0].split(" (")[0].removeprefix("at least ") for one in listed)
-    assert lengths == Counter(units.text(line["length_cm"] / 100) for line in lines)
-    words = Counter(one["says"][1] for one in listed)
-    assert words == Counter(line["grade_words"] for line in lines)
-    hangs = [line for line in lines if line["picked_utc"] is None]
-    classes = Counter(class_name(line["grade"]) for line in hangs)
-    assert classes["too short"] > 0
-    said = ", ".join(f"{number} {name}" for name, number in sorted(classes.items()))
-    assert f"**{said}**" in captions(results)
-
-    # The map: the same fruit, the picked one crossed.
-    marks = map_lines(graded, units)
-    assert Counter(units.text(x["length"] / 100) for x in marks) == lengths
-    assert [x["mark"] for x in marks].count("picked") == files.summary["picked"] == 1
-    picked = next(x for x in marks if x["mark"] == "picked")
-    assert "picked" in next(x for x in listed if x["key"] == picked["key"])["says"][3]
-    [row] = files["rows"].rows
-    assert row["fruit"] == len(lines)
-
-    # Work and crates of the days, and of today.
-    work: list[dict[str, Any]] = files["work"].rows
-    shown = table(page("forecast", walked, forecast_tabs="Work and crates"))
-    days = [line for line in work if line["fruit_high"] >= 1]
-    assert len(shown) == len(days) > 1
-    for line, day in zip(shown, days, strict=True):
-        assert line["Fruit"].split(" ")[0] == f"{day['fruit']:.0f}"
-        if day["fruit"] >= 1:  # of less than a minute a file keeps too few digits
-            assert line["Work"].split(" (")[0] == hours_words(day["hours"])
-    today = captions(page("today", walked))
-    crates = f"{work[0]['crates']:.0f} crate"
-    assert f"About {hours_words(work[0]['hours'])} and {crates}" in today
-    assert work[0]["fruit"] == 1
-    assert "1 fruit is left in the list" in today
+def tables_of(store: Store) -> RoundTables:
+    return round_tables(store, DAY.key, load_profile("long-cucumber"))
 
 
-def test_every_figure_is_one_number_everywhere(store: Store, walked: str) -> None:
-    profile, units = load_profile("long-cucumber"), Units("cm")
-    one, content = find_round(store, walked), read_round(store, walked)
-    table = fruit_table(content)
-    graded = grade_round(content, table, profile)
-    files = round_tables(store, walked, profile)
-    gone = {view.key for view in content.views if view.verdict is Verdict.REJECTED}
+def of_today(tables: RoundTables, scope: str) -> Counter[str]:
+    """Fruit by class, of the forecast's first day."""
+    found: Counter[str] = Counter()
+    for line in tables["forecast"].rows:
+        if line["day"] == 0 and line["scope"] == scope:
+            expected = float(str(line["expected"]))
+            assert expected == int(expected)
+            found[str(line["class"])] += int(expected)
+    return found
 
-    # Numbers of fruit and their lengths.
-    shown = {metric.label: str(metric.value) for metric in page("results", walked).metric}
-    summary = files.summary
-    assert shown["Fruit"] == str(summary["fruit"]) == str(len(files["fruit"].rows))
-    assert shown["Measured"] == str(summary["measured"])
-    assert (shown["Picked"], summary["picked"]) == ("1", 1)
-    assert shown["Deleted"] == "1"
-    assert summary["detections"] == len(content.views) - len(gone)
-    charted = [line["length"] for line in length_lines(graded.fruit, graded.grades, units)]
-    hanging = [
-        float(str(line["length_cm"]))
-        for line in files["fruit"].rows
-        if line["picked_utc"] is None and "at least" not in str(line["remarks"])
-    ]
-    assert len(hanging) == len(graded.fruit) - 2  # without the picked one and the lower bound
-    assert sorted(charted) == pytest.approx(sorted(hanging), abs=1e-3)
-    assert np.mean(charted) == pytest.approx(summary["mean_length_cm"], abs=0.01)
-    assert shown["Mean length"] == units.text(float(np.mean(charted)) / 100)
 
-    # No deleted fruit on the map, in the list or on the accuracy page.
-    assert gone.isdisjoint(line["key"] for line in map_lines(graded, units))
-    assert gone.isdisjoint(view.key for view in graded.fruit)
-    measured = measured_round(store, walked)
-    assert len(measured.readings) == len(content.views) - len(gone)
-    reported = {(x.capture, x.fruit): x.lengths_m["reported"] for x in measured.readings}
-    for view in graded.fruit:
-        at = f"{view.stop_key}/{view.capture}", view.fruit
-        assert reported[at] == view.length_m
+def test_every_page_says_the_same_numbers(store: Store, day: str) -> None:
+    results = page("results")
+    line = ", ".join(f"{count} {name}" for name, count in sorted(HANGS.items()))
+    assert f"**{line}**" in said(results)
+    shown = {metric.label: str(metric.value) for metric in results.metric}
+    hanging = sum(HANGS.values())
+    # The doubtful fruit that was added is shown, and counts in no class until someone accepts it.
+    assert (shown["Picked"], shown["Deleted"]) == ("1", "2")
+    assert shown["Fruit"] == str(hanging + 2)
+    whole = [x for row in ROWS.values() for x, _ in row if x != PICKED]
+    assert shown["Mean length"] == f"{sum(whole) / len(whole):.1f} cm"
 
-    # What is ready, and its work.
-    forecast = forecast_today(store, one, profile, time.time(), content)
-    picks = [pick for pick in pick_list(forecast) if pick.kind is PickKind.READY]
-    work, plan = work_of(picks), plan_work(forecast)[0]
-    today = page("today", walked)
-    assert len(picks) == work.fruit == plan.fruit.expected == summary["ready_today"]
-    assert {metric.label: str(metric.value) for metric in today.metric}["Ready today"] == str(
-        len(picks)
+    today = page("today")
+    shown = {metric.label: str(metric.value) for metric in today.metric}
+    assert shown == {
+        "Ready today": str(HANGS["class I"]),
+        "class I": str(HANGS["class I"]),
+        "May be ready": str(MAY_BE_READY),
+        "Too long": str(HANGS["too long"]),
+    }
+    assert "4 fruit are left in the list below. 3 more may be ready" in said(today)
+    by_row = tables(today)[0]
+    assert [line["class I"] for line in by_row] == ["2", "2"]
+    assert [line["May be ready"] for line in by_row] == ["1", "2"]
+
+    forecast = page("forecast")
+    first = tables(forecast)[0][0]
+    for name in ("class I", "class II", "too long"):
+        assert first[name].split(" ")[0] == str(HANGS[name])
+    assert f"Today {HANGS['undecided']} undecided fruit are in no class" in said(forecast)
+    work = tables(page("forecast", forecast_tabs="Work and crates"))[-1][0]
+    assert work["Fruit"] == first["class I"].removesuffix(" or more")
+
+    words = said(page("row_map"))
+    assert "probably" not in f"{words} {said(results)} {said(today)}".lower().replace(
+        "probably no", ""
     )
-    first = files["work"].rows[0]
-    assert (first["fruit"], first["crates"]) == (work.fruit, sum(work.crates.values()))
-    assert first["hours"] == pytest.approx(work.hours, abs=1e-3)
-    said = " ".join(str(part.value) for part in today.caption)
-    assert f"About {hours_words(work.hours)} and " in said
-    table_of_work = " ".join(str(part.value) for part in page("forecast", walked).markdown)
-    assert hours_words(work.hours) == hours_words(plan.hours.expected)
-    assert "-0" not in table_of_work
-    assert all(str(span.low) != "-0.0" for span in plan.crates.values())
+
+
+def test_every_file_says_the_same_numbers(store: Store, day: str, tmp_path: Path) -> None:
+    tables = tables_of(store)
+    summary = tables.summary
+    ready = (summary["ready_today"], summary["may_be_ready"], summary["picked"])
+    assert ready == (HANGS["class I"], MAY_BE_READY, 1)
+    in_rows = sum(int(str(line["fruit"])) for line in tables["rows"].rows)
+    assert summary["fruit"] == sum(HANGS.values()) + 2 == in_rows
+    classes = {name.removeprefix("class "): count for name, count in HANGS.items()}
+    named = {name: classes[name] for name in ("I", "II", "too short", "too long")}
+    assert of_today(tables, "house") == of_today(tables, "row") == named
+    work = tables["work"].rows[0]
+    assert (work["fruit"], work["crates"]) == (HANGS["class I"], 1)
+    counted = [
+        str(line["grade"])
+        for line in tables["fruit"].rows
+        if line["picked_utc"] is None and "doubtful" not in str(line["flags"])
+    ]
+    assert Counter(counted) == classes
+    kinds = Counter(str(line["kind"]) for line in tables["picks"].rows)
+    assert kinds == {"ready": 4, "may be ready": 3, "too long": 1}
+    assert sum(count for *_, count in tables.bins) == 11
+    everything = " ".join(str(x) for table in tables.tables.values() for x in table.rows)
+    for word in ("out of grade", "out-of-grade", "borderline", "class unsure"):
+        assert word not in everything
+
+    write_exports(tables, tmp_path, [ExportFormat.CSV, ExportFormat.JSON, ExportFormat.HTML])
+    with (tmp_path / "picks.csv").open(encoding="utf-8") as file:
+        assert Counter(line["kind"] for line in csv.DictReader(file)) == kinds
+    written = json.loads((tmp_path / "round.json").read_text())["tables"]["summary"][0]
+    assert written["ready_today"] == HANGS["class I"]
+    html = (tmp_path / "round.html").read_text()
+    assert "ready: 4, may be ready: 3, too long: 1." in re.sub(r"\s+", " ", html)
+    assert "undecided (only part of it is seen)" in html
+    assert "at least 26.0 cm" in html
+    assert html.count("≥ 26.0</td>") == 2  # among those that may be ready, and among all
+    assert "23.0–29.0" not in html
+
+
+def test_a_lower_bound_is_at_least_beside_the_lengths_by_hand_and_has_no_upper_end(
+    store: Store, day: str
+) -> None:
+    lines = [line for shown in lists_of(page("accuracy"), "handlist") for line in shown["lines"]]
+    assert "at least 26.0 cm" in [line["program"] for line in lines]
+    [part] = [line for line in tables_of(store)["fruit"].rows if line["at_least"]]
+    assert (part["interval_low_cm"], part["interval_high_cm"]) == (23.0, None)
+
+
+def test_the_command_says_the_same_words(store: Store, day: str) -> None:
+    shown = CliRunner().invoke(command, ["round", "show", "--store", store.name, "--round", day])
+    assert shown.exit_code == 0, shown.output
+    text = re.sub(r"\s+", " ", shown.output)
+    assert "16 fruit, lengths in cm" in text
+    assert text.count("class I ") >= 4
+    assert "≥ 26.0" in text
+    assert "out of grade" not in text
+
+
+def test_stops_of_another_row_change_nothing_in_a_row(store: Store) -> None:
+    """What is drawn to forecast depends on all fruit; what is ready does not."""
+    store.save_round(DAY)
+    save_row(store, "2")
+    merge_round(store, DAY.key)
+
+    def listed() -> list[tuple[str, str]]:
+        lines = tables_of(store)["picks"].rows
+        return [(str(x["key"]), str(x["kind"])) for x in lines if x["row"] == "2"]
+
+    before = sorted(listed())
+    assert Counter(kind for _, kind in before) == {"ready": 3, "may be ready": 1}
+    save_row(store, "1")
+    merge_round(store, DAY.key)
+    assert sorted(listed()) == before
+
+
+def test_one_fruit_is_one(store: Store) -> None:
+    store.save_round(DAY)
+    store.save_stop(stop_of(store, "1", 0, [FruitRow(1, length=length_of(28.0, 0.5))]))
+    assert "1 fruit is left in the list below." in said(page("today"))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from functools import wraps
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -50,7 +49,6 @@ def answer(work: Callable[[Request, Any], Any]) -> Callable[[Request], Awaitable
         except ClientDisconnect:  # lost on the way, as happens among plants: nobody reads an answer
             return Response(status_code=400)
         ask_for(request.headers.get("accept-language"))
-        follow_zone()
         try:
             reply = await run_in_threadpool(work, request, content)
         except CucumberVisionError as error:
@@ -68,12 +66,6 @@ def answer(work: Callable[[Request, Any], Any]) -> Callable[[Request], Awaitable
         return JSONResponse(reply, headers={"cache-control": "no-store"})
 
     return route
-
-
-def follow_zone() -> None:
-    """Tell times in the computer's zone as it is now; Python keeps the one of the start."""
-    if hasattr(time, "tzset"):  # not on Windows
-        time.tzset()
 
 
 def store_of(request: Request) -> Any:

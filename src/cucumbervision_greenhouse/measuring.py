@@ -65,8 +65,7 @@ class SharedMeasurer:
         self._lock = threading.Lock()
         self._loaded: Measurer | None = None
         self._segmenter: NetworkSegmenter | None = None
-        self._prompted: tuple[object, NDArray[np.bool_] | None] = (None, None)
-        self._drafted: tuple[object, NDArray[np.bool_] | None] = (None, None)
+        self._masks: dict[str, tuple[object, NDArray[np.bool_]]] = {}
 
     def with_options(self, options: MeasureOptions) -> Measurer:
         """Return a measurer with these options, and the calibration as its file is now.
@@ -136,12 +135,22 @@ class SharedMeasurer:
 
     def _draft(self, capture: Capture, at_px: tuple[float, float]) -> NDArray[np.bool_]:
         """Return the mask of a point alone; the last one is held."""
-        prompt = capture_sha256(capture), *at_px
-        prompted, mask = self._drafted
-        if mask is None or prompted != prompt:
-            mask = _some(self._sam().mask_at(capture.color, *at_px))
-            self._drafted = prompt, mask
-        return mask
+        return self._held(
+            "draft", capture, at_px, lambda: _some(self._sam().mask_at(capture.color, *at_px))
+        )
+
+    def _held(
+        self,
+        kind: str,
+        capture: Capture,
+        prompt: Sequence[float],
+        draw: Callable[[], NDArray[np.bool_]],
+    ) -> NDArray[np.bool_]:
+        """Return the mask of a prompt: the last one of its kind if that was the same."""
+        key = capture_sha256(capture), *map(float, prompt)
+        if kind not in self._masks or self._masks[kind][0] != key:
+            self._masks[kind] = key, draw()
+        return self._masks[kind][1]
 
     def draft_of(
         self, capture: Capture, point: Sequence[float] | None, box: Sequence[float] | None
@@ -186,16 +195,14 @@ class SharedMeasurer:
         InstancesError
             If there is none.
         """
-        prompt = capture_sha256(capture), *map(float, point or box or ())
-        prompted, mask = self._prompted
-        if mask is None or prompted != prompt:
+
+        def draw() -> NDArray[np.bool_]:
             if point:
-                mask = self.mask_from_click(capture, (float(point[0]), float(point[1])))
-            else:
-                x1, y1, x2, y2 = (float(value) for value in box or ())
-                mask = self.mask_from_box(capture, (x1, y1, x2, y2))
-            self._prompted = prompt, mask
-        return mask
+                return self.mask_from_click(capture, (float(point[0]), float(point[1])))
+            x1, y1, x2, y2 = (float(value) for value in box or ())
+            return self.mask_from_box(capture, (x1, y1, x2, y2))
+
+        return self._held("whole", capture, point or box or (), draw)
 
     def correct(
         self,

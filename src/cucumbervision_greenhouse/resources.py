@@ -58,12 +58,8 @@ def _whole(place: str) -> str:
 
 def store() -> Store:
     """Return the store of all viewers, signed by the viewer of this page."""
-    return _store().signed(*_who())
-
-
-def _who() -> tuple[str, str]:
-    """Return the viewer whom the proxy logged in, else 'dashboard', and the device."""
-    return st.context.headers.get(VIEWER) or "dashboard", device_of(st.context.cookies)
+    name = st.context.headers.get(VIEWER) or "dashboard"  # whom the proxy logged in
+    return _store().signed(name, device_of(st.context.cookies))
 
 
 @st.cache_resource(show_spinner=False)

@@ -32,21 +32,21 @@ from cucumbervision_greenhouse.store.repository import Store
 
 
 @st.cache_resource(show_spinner=False)
-def _measuring() -> list[Job]:
-    return []
+def _last() -> dict[str, Job]:
+    """Return the last jobs that measured and read uploads, by what they did."""
+    return {}
 
 
 def wake() -> Job | None:
     """Start measuring the queued captures; return the job, or None if the queue is empty."""
-    jobs = _measuring()
-    if jobs and not jobs[0].finished:
-        return jobs[0]
-    if not waiting().captures():
-        return jobs[0] if jobs else None
+    job = _last().get("measure")
+    if (job and not job.finished) or not waiting().captures():
+        return job
     parts = waiting(), measurer(), store(), _options, _settle
     # A partial function is not bound to a page, so that it may run with no page open.
-    jobs[:] = [worker().submit(marked("Measuring"), partial(measure_waiting, *parts), None)]
-    return jobs[0]
+    job = worker().submit(marked("Measuring"), partial(measure_waiting, *parts), None)
+    _last()["measure"] = job
+    return job
 
 
 def _options() -> MeasureOptions:
@@ -55,24 +55,20 @@ def _options() -> MeasureOptions:
 
 def measuring_fault() -> str:
     """Return why queued captures cannot be measured (network, calibration); empty if they can."""
-    jobs = _measuring()
-    return jobs[0].error if jobs else ""
-
-
-@st.cache_resource(show_spinner=False)
-def _queueing() -> list[Job]:
-    return []
+    job = _last().get("measure")
+    return job.error if job else ""
 
 
 def queue_uploads() -> None:
     """Let the captures of complete uploads wait to be measured."""
     title = marked("Reading the files that were sent")
-    _queueing()[:] = [worker().submit(title, _queue_uploads)]
+    _last()["read"] = worker().submit(title, _queue_uploads)
 
 
 def upload_fault() -> str:
     """Return why uploads cannot be read now, such as a full disk; empty if they can."""
-    return "".join(job.error for job in _queueing())
+    job = _last().get("read")
+    return job.error if job else ""
 
 
 def _queue_uploads(_: Job) -> None:
@@ -133,7 +129,8 @@ def undo(store: Store, round_key: str, *, number: int | None = None) -> LogEntry
 
 def progress(round_key: str) -> Progress:
     """Return the progress of a round, the same for every page."""
-    measured = next((job.measured for job in _measuring() if not job.finished), None)
+    job = _last().get("measure")
+    measured = job.measured if job and not job.finished else None
     queue = waiting().captures(), waiting().set_aside()
     return progress_of(round_key, *queue, measured, worker().unfinished(), measuring_fault())
 

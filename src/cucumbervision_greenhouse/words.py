@@ -12,6 +12,7 @@ import numpy as np
 from cucumbervision.crop import grades
 from cucumbervision.crop.grades import UNDECIDED, class_name
 from cucumbervision.methods.flags import FLAGS
+from cucumbervision.methods.result import LengthDefinition
 from cucumbervision_greenhouse.language import (
     counted,
     day_month_words,
@@ -36,6 +37,13 @@ if TYPE_CHECKING:
     from cucumbervision_greenhouse.settings import Units
     from cucumbervision_greenhouse.store.records import FruitRow, LogEntry, Round, StopRecord
 
+
+LENGTH_NAMES = {
+    LengthDefinition.CENTRELINE: marked("Centreline"),
+    LengthDefinition.THREAD: marked("Thread"),
+    LengthDefinition.CHORD: marked("Chord"),
+}
+"""Names of the definitions of length."""
 
 _DEMONSTRATION = marked("Demonstration (computer-made example)")
 

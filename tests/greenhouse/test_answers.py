@@ -1,8 +1,6 @@
 from __future__ import annotations
 
 import asyncio
-import time
-from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -24,16 +22,6 @@ def test_news_tell_of_a_change_in_the_round(asked: TestClient, store: Store) -> 
     assert asked.get(f"/api/news?round={WALK}").json()["version"] == first["version"]
     store.pick([store.detections(WALK)[0].key])
     assert asked.get(f"/api/news?round={WALK}").json()["version"] != first["version"]
-
-
-def test_times_are_in_the_zone_that_the_computer_has_now(
-    asked: TestClient, in_zone: Callable[[str], None], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for zone, name in (("Asia/Tokyo", "JST"), ("Pacific/Honolulu", "HST")):
-        in_zone("UTC")
-        monkeypatch.setenv("TZ", zone)  # as the computer's own zone is changed
-        asked.get("/api/walk" if name == "JST" else "/api/news")
-        assert time.tzname[0] == name
 
 
 def test_a_request_that_is_cut_off_is_no_fault_of_the_server() -> None:

@@ -33,7 +33,7 @@ from cucumbervision_greenhouse.rounds.from_store import read_round
 from cucumbervision_greenhouse.rounds.fruit_table import fruit_table
 from cucumbervision_greenhouse.settings import replace_text, truth_folder
 from cucumbervision_greenhouse.store.records import Verdict
-from cucumbervision_greenhouse.words import length_words, position_words
+from cucumbervision_greenhouse.words import LENGTH_NAMES, length_words, position_words
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -44,11 +44,6 @@ if TYPE_CHECKING:
 
 
 _LINES = 30
-_KINDS = {
-    LengthDefinition.CENTRELINE: marked("Centreline"),
-    LengthDefinition.THREAD: marked("Thread"),
-    LengthDefinition.CHORD: marked("Chord"),
-}
 
 
 @page_elements.of_round
@@ -90,7 +85,7 @@ def _table(fruit: list[FruitRow], path: Path) -> None:
     kind = st.segmented_control(
         _("Measured by hand"),
         list(LengthDefinition),
-        format_func=lambda x: _(_KINDS[x]),
+        format_func=lambda x: _(LENGTH_NAMES[x]),
         default=LengthDefinition.CENTRELINE,
         required=True,
         help=_("Thread: laid over the outer side, from end to end. Chord: with calipers."),
@@ -220,7 +215,7 @@ def _methods(own_truth: OwnTruth) -> None:
     lines = [
         {
             _("Method"): score.method,
-            _("Against"): _(_KINDS[score.kind]),
+            _("Against"): _(LENGTH_NAMES[score.kind]),
             _("Fruit"): score.fruit,
             _("Mean absolute error"): f"{number_words(score.metrics.mape_percent, 1)} %",
             "95 %": _("needs 3 fruit")

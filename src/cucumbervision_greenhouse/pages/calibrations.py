@@ -25,7 +25,6 @@ from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.pages import page_elements
 from cucumbervision_greenhouse.rounds.stop_records import stored_capture
 from cucumbervision_greenhouse.settings import truth_folder
-from cucumbervision_greenhouse.words import round_day
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -163,16 +162,7 @@ class SavedCalibration:
         """Name and day of the calibration, or the file's name."""
         if self.site is None:
             return self.path.name
-        return f"{self.site.name}, {round_day(_created_s(self.site))}"
-
-
-def _created_s(site: SiteCalibration) -> float:
-    try:
-        created_s = datetime.fromisoformat(site.created).timestamp()
-        datetime.fromtimestamp(created_s)  # may be a day of no calendar here
-    except (ValueError, OverflowError, OSError):
-        return 0.0
-    return created_s
+        return f"{self.site.name}, {self.site.created[:10]}"
 
 
 def save_calibration(folder: Path, site: SiteCalibration) -> Path:
@@ -194,18 +184,9 @@ def save_calibration(folder: Path, site: SiteCalibration) -> Path:
 
 def saved_calibrations(folder: Path, chosen: str = "") -> list[SavedCalibration]:
     """Return the calibrations of a folder, the newest first, and the chosen one wherever it is."""
-    paths = {_resolved(path): path for path in folder.glob(f"*{_SUFFIX}")}
-    if chosen:
-        paths[_resolved(Path(chosen))] = Path(chosen)
-    saved = [_saved(path) for path in paths.values()]
-    return sorted(saved, key=lambda x: -_created_s(x.site) if x.site is not None else 0.0)
-
-
-def _resolved(path: Path) -> Path:
-    try:
-        return path.resolve()
-    except (OSError, ValueError, RuntimeError):  # typed: a loop of links, or no name of a file
-        return path
+    paths = {*folder.glob(f"*{_SUFFIX}"), *([Path(chosen)] if chosen else [])}
+    saved = map(_saved, sorted(paths))
+    return sorted(saved, key=lambda x: x.site.created if x.site else "", reverse=True)
 
 
 def _saved(path: Path) -> SavedCalibration:

@@ -30,9 +30,6 @@ if TYPE_CHECKING:
     from cucumbervision_greenhouse.store.records import FruitRow
 
 
-_DRAWN = "limits_drawn"
-
-
 def draw() -> None:
     """Draw the choice of a crop, its limits, and the form that changes them."""
     saved = resources.settings().profile
@@ -79,13 +76,6 @@ def _limits(profile: CropProfile) -> None:
 
 def _form(name: str, profile: CropProfile, *, own: bool) -> None:
     """Draw the limits as fields, what they would change, and the button that saves them."""
-    key, drawn = _key(name, profile), st.session_state.get(_DRAWN)
-    if drawn is not None and drawn[0] == name and drawn[1] != key:  # what was typed is gone
-        words = _(
-            "Somebody else has changed these limits meanwhile: they are shown as they are now."
-        )
-        st.warning(words, icon=":material/info:")
-    st.session_state[_DRAWN] = name, key
     limits = _fields(name, profile)
     title = st.text_input(
         _("Name of your crop"),
@@ -105,7 +95,6 @@ def _form(name: str, profile: CropProfile, *, own: bool) -> None:
         except CucumberVisionError as error:
             st.session_state["limits_fault"] = words_of(error)
             return
-        st.session_state.pop(_DRAWN, None)
         resources.forget_profiles()
         resources.change_settings(profile=path.stem)
         words = _("Saved: new rounds have the crop '{crop}'.")

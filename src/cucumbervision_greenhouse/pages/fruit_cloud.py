@@ -112,23 +112,17 @@ def _scene(
     reach_mm: float,
 ) -> pydeck.Deck:
     layers = [
-        pydeck.Layer(
-            "PointCloudLayer",
-            dots,
-            get_position="at",
-            get_color="color",
-            size_units="'common'",
-            point_size=0.6,
-            material=False,
-        ),
-        pydeck.Layer(
-            "PointCloudLayer",
-            marks,
-            get_position="at",
-            get_color="color",
-            size_units="'common'",
-            point_size=2.5,
-            material=False,
+        *(
+            pydeck.Layer(
+                "PointCloudLayer",
+                places,
+                get_position="at",
+                get_color="color",
+                size_units="'common'",
+                point_size=size,
+                material=False,
+            )
+            for places, size in ((dots, 0.6), (marks, 2.5))
         ),
         pydeck.Layer(
             "PathLayer",

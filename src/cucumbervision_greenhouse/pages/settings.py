@@ -16,6 +16,7 @@ from cucumbervision_greenhouse.language import DRAFTS, LANGUAGES, marked, plain
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.pages import calibrations, crop, page_elements
 from cucumbervision_greenhouse.settings import EXPOSURE_US, PRESETS
+from cucumbervision_greenhouse.words import LENGTH_NAMES
 
 _FINDERS = {
     "auto": marked("A capture's own masks, else networks"),
@@ -23,12 +24,6 @@ _FINDERS = {
     "dataset": marked("A capture's own masks"),
 }
 
-
-_LENGTHS = {
-    LengthDefinition.CENTRELINE: marked("Centreline"),
-    LengthDefinition.THREAD: marked("Thread"),
-    LengthDefinition.CHORD: marked("Chord"),
-}
 
 _INPUT_SIZES_PX = (320, 448, 640, 960, 1280)  # that are offered; a file may name others
 
@@ -85,7 +80,7 @@ def _measuring() -> None:
         st.segmented_control,
         _("Length definition"),
         list(LengthDefinition),
-        format_func=lambda x: _(_LENGTHS[x]),
+        format_func=lambda x: _(LENGTH_NAMES[x]),
         required=True,
         help=_(
             "Thread: over the outer side, as people measure by hand. Centreline: along the "

@@ -148,10 +148,6 @@ def _check_guard() -> None:
         )
 
 
-if __name__ == "__main__":
-    main()
-
-
 def about() -> None:
     """Draw the page 'About': the offer of the source that the AGPL-3.0, section 13, asks for."""
     offer = source_offer()
@@ -171,3 +167,7 @@ def about() -> None:
             for name, version in installed_versions().items()
         ]
         page_elements.table(lines)
+
+
+if __name__ == "__main__":
+    main()

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,13 +12,8 @@ from cucumbervision.errors import CucumberVisionError, DataSetError
 from cucumbervision_lab.arrays import Progress
 from cucumbervision_lab.data import splits
 from cucumbervision_lab.data.coco import ANNOTATIONS, ROBOFLOW, read_coco
-from cucumbervision_lab.data.labels import SPLITS, picture_size
+from cucumbervision_lab.data.labels import SPLITS, DataSet, Label, LabelledPicture, picture_size
 from cucumbervision_lab.data.yolo import read_yolo
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from cucumbervision_lab.data.labels import DataSet, Label, LabelledPicture
 
 # Stricter than when scenes are searched. Photos of different scenes share at most 31 corners, and
 # those were taken at the same place.

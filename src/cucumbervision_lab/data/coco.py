@@ -8,9 +8,10 @@ and read the file as COCO with keypoints.
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -33,9 +34,6 @@ from cucumbervision_lab.data.labels import (
     ticked,
     write_text,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 ANNOTATIONS = "annotations.json"
 

@@ -5,29 +5,23 @@ from __future__ import annotations
 import math
 import os
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
+from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.pictures import COLOR_SUFFIXES, MOST_PIXELS, read_color
-from cucumbervision.errors import CaptureError, DataSetError, InstancesError
+from cucumbervision.errors import CaptureError, CucumberVisionError, DataSetError, InstancesError
 from cucumbervision.files import read_bytes
-from cucumbervision.fruit.label_files import entry_or_error
+from cucumbervision.fruit.label_files import LabelledImage, LabelledInstance, entry_or_error
 from cucumbervision.fruit.mask_codes import Rle, mask_of_segmentation
 from cucumbervision.fruit.masks import box_of_mask, mask_window
 from cucumbervision.networks.keypoint_axis import KEYPOINT_SHARES, axis_line
 from cucumbervision.tube.curve import points_along
 from cucumbervision_lab.arrays import Array, Mask, Pixels, Progress
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
-
-    from cucumbervision.capture.intrinsics import Intrinsics
-    from cucumbervision.errors import CucumberVisionError
-    from cucumbervision.fruit.label_files import LabelledImage, LabelledInstance
 
 KEYPOINT_ORDER = "keypoint_order"
 """Key in a label's extras: 'place' if its keypoints are ordered by position in the picture."""

@@ -3,27 +3,21 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from pathlib import PurePosixPath
-from typing import TYPE_CHECKING, Any
+from pathlib import Path, PurePosixPath
+from typing import Any
 from zlib import crc32
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from cucumbervision.capture.pictures import read_color
 from cucumbervision.errors import DataSetError
 from cucumbervision_lab.arrays import Array32, Generator, Pixels, Progress
-from cucumbervision_lab.data.labels import SPLITS, ticked
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from cucumbervision_lab.data.labels import DataSet, LabelledPicture
+from cucumbervision_lab.data.labels import SPLITS, DataSet, LabelledPicture, ticked
 
 _COPY_MOST_BITS = 6  # of 63; two photos of the same heap differ by at least 16
 

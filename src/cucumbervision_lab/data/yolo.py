@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import yaml
@@ -36,10 +37,6 @@ from cucumbervision_lab.data.labels import (
     ticked,
     write_text,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
 
 PICTURES = "pictures.json"
 """File next to `data.yaml` with scene, source and licence, for which YOLO has no fields."""

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import lru_cache, partial
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike, NDArray
 
 from cucumbervision._version import __version__
 from cucumbervision.about import installed_versions
@@ -21,9 +24,10 @@ from cucumbervision.run.finders import Finder, make_finder
 from cucumbervision.run.options import MeasureOptions
 from cucumbervision_lab.arrays import Array, Progress
 from cucumbervision_lab.data.labels import ticked
-from cucumbervision_lab.evaluate.cases import paper_cases, stress_cases, validation_cases
+from cucumbervision_lab.evaluate.cases import Case, paper_cases, stress_cases, validation_cases
 from cucumbervision_lab.evaluate.measure_case import (
     CaseOptions,
+    LengthRecord,
     Masks,
     append_record,
     measure_case,
@@ -31,16 +35,6 @@ from cucumbervision_lab.evaluate.measure_case import (
     readings_frame,
 )
 from cucumbervision_lab.processes import each_done
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-    from pathlib import Path
-
-    from numpy.typing import ArrayLike, NDArray
-
-    from cucumbervision_lab.evaluate.cases import Case
-    from cucumbervision_lab.evaluate.measure_case import LengthRecord
-
 
 _SMALLEST_GROUP = 60  # readings; smaller groups use the enclosing group
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -17,13 +19,6 @@ from cucumbervision.methods.result import LengthDefinition
 from cucumbervision.methods.table import AVAILABLE, TableMethod
 from cucumbervision_lab.evaluate.cases import Suite
 from cucumbervision_lab.evaluate.measure_case import Masks
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-    from pathlib import Path
-
-    import pandas as pd
-
 
 _TRUTHS = (LengthDefinition.CENTRELINE, LengthDefinition.THREAD, LengthDefinition.CHORD)
 """Definitions of length, in the order of all reports."""

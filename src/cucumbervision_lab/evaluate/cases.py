@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,9 +18,6 @@ from cucumbervision_lab.scenes.depth_camera import VGA, D4xx, sense
 from cucumbervision_lab.scenes.raycast import Leaf, Plane
 from cucumbervision_lab.scenes.scene import FruitTruth, Scene, View, render, truth_of
 from cucumbervision_lab.scenes.shading import shade
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 
 class Suite(StrEnum):

@@ -3,42 +3,33 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from enum import StrEnum
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import dijkstra
 
-from cucumbervision.capture.frames import valid_depth
+from cucumbervision.capture.frames import Capture, valid_depth
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.errors import CucumberVisionError, MissingExtraError, wrap_reader_errors
 from cucumbervision.files import parse_model, read_text
 from cucumbervision.fruit.instance import Instance, MaskSource
 from cucumbervision.fruit.masks import box_iou, box_of_mask, distances_inside, mask_iou, mask_window
 from cucumbervision.methods.intervals import mask_features, tube_features
-from cucumbervision.methods.result import MethodName, Selector
+from cucumbervision.methods.result import Fruit, MethodName, Selector
 from cucumbervision.methods.selector import choose, measure_fruit
 from cucumbervision.methods.table import AVAILABLE, masked_points
 from cucumbervision_lab.arrays import Array, Array32, Generator, Mask
-from cucumbervision_lab.evaluate.cases import Simulated, simulate
+from cucumbervision_lab.evaluate.cases import Case, Simulated, simulate
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from cucumbervision.capture.frames import Capture
-    from cucumbervision.methods.result import Fruit
-    from cucumbervision_lab.evaluate.cases import Case
-
-    Find = Callable[[Capture], Sequence[Instance]]
-    from collections.abc import Iterable
-    from pathlib import Path
-
-    import pandas as pd
+Find = Callable[[Capture], Sequence[Instance]]
 
 _NUMBERS = (
     *("centreline_m", "thread_m", "chord_m", "distance_m", "tilt_deg", "bend_radius_m"),

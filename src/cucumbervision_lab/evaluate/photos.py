@@ -8,9 +8,10 @@ boxes were drawn and why a scene belongs to its split.
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import cv2
 import numpy as np
@@ -24,14 +25,7 @@ from cucumbervision.fruit.masks import box_iou
 from cucumbervision_lab.arrays import Array, Pixels, Progress
 from cucumbervision_lab.data.labels import DataSet, Label, LabelledPicture, list_pictures, ticked
 from cucumbervision_lab.evaluate.outcomes import Score, detection_rows, fruit_rows, overall
-from cucumbervision_lab.evaluate.pictures import Frame, detect_picture
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from pathlib import Path
-
-    from cucumbervision_lab.evaluate.pictures import Networks
-
+from cucumbervision_lab.evaluate.pictures import Frame, Networks, detect_picture
 
 _AUDIT_FILES = ("photos_audit.json", "photos2_audit.json", "photos3_audit.json")
 _HASH_DIGITS = 12

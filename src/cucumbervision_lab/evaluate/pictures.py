@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
-from cucumbervision.capture.frames import valid_depth
+from cucumbervision.capture.frames import Capture, valid_depth
 from cucumbervision.capture.pictures import read_color
 from cucumbervision.errors import CaptureError, DataSetError, MissingExtraError
+from cucumbervision.fruit.instance import Instance
 from cucumbervision.fruit.mask_codes import Rle
 from cucumbervision.networks.confidence import (
     CANDIDATE_CONFIDENCE,
@@ -21,21 +23,13 @@ from cucumbervision.networks.confidence import (
     detector_floor,
     pose_floor,
 )
-from cucumbervision.networks.find import NetworkLoader, each_fruit_once
+from cucumbervision.networks.find import NetworkLoader, NetworkSegmenter, each_fruit_once
 from cucumbervision.networks.keypoint_axis import place_keypoints
+from cucumbervision.networks.looks import FruitLooker
+from cucumbervision.networks.yolo import YoloDetector
 from cucumbervision_lab.arrays import Array, Array32, Pixels
 from cucumbervision_lab.data.coco import read_coco
-from cucumbervision_lab.data.labels import Label, picture_size
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from cucumbervision.capture.frames import Capture
-    from cucumbervision.fruit.instance import Instance
-    from cucumbervision.networks.find import NetworkSegmenter
-    from cucumbervision.networks.looks import FruitLooker
-    from cucumbervision.networks.yolo import YoloDetector
-    from cucumbervision_lab.data.labels import DataSet, Label, LabelledPicture
+from cucumbervision_lab.data.labels import DataSet, Label, LabelledPicture, picture_size
 
 T = TypeVar("T")
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -37,13 +38,9 @@ from cucumbervision_lab.evaluate.outcomes import (
     group_scores,
     overall,
 )
+from cucumbervision_lab.evaluate.photos import PhotoResult
 from cucumbervision_lab.evaluate.pictures import Stage
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from cucumbervision_lab.evaluate.photos import PhotoResult
-    from cucumbervision_lab.evaluate.scenes import DetectionResult
+from cucumbervision_lab.evaluate.scenes import DetectionResult
 
 _IOU_TYPES = {IouType.BOXES: "boxes", IouType.MASKS: "masks", IouType.KEYPOINTS: "keypoints"}
 _MOST_FALSE_SHOWN = 60

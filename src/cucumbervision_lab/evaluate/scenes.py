@@ -3,25 +3,29 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from scipy.stats import chi2
 
+from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.pictures import read_color
 from cucumbervision.errors import ModelError
 from cucumbervision.fruit.instance import Instance, MaskSource
 from cucumbervision.fruit.masks import box_ious, box_of_mask, mask_iou, share_inside
-from cucumbervision.methods.pose import Part, stem_first
+from cucumbervision.methods.intervals import IntervalModels
+from cucumbervision.methods.pose import FruitPose, Part, stem_first
+from cucumbervision.methods.result import Fruit
 from cucumbervision.methods.selector import measure_fruit
 from cucumbervision.networks.confidence import DEFAULT_CONFIDENCE
 from cucumbervision.networks.registry import load_registry
 from cucumbervision_lab.arrays import Array
-from cucumbervision_lab.data.labels import ticked
+from cucumbervision_lab.data.labels import DataSet, LabelledPicture, ticked
 from cucumbervision_lab.evaluate.benchmark import (
     fit_interval_models,
     package_finder,
@@ -42,6 +46,7 @@ from cucumbervision_lab.evaluate.measure_case import (
 )
 from cucumbervision_lab.evaluate.outcomes import match_detections, match_fruit
 from cucumbervision_lab.evaluate.pictures import (
+    Frame,
     PictureResult,
     Stage,
     capture_of,
@@ -54,19 +59,7 @@ from cucumbervision_lab.evaluate.pictures import (
 )
 from cucumbervision_lab.processes import each_done
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-    from pathlib import Path
-
-    from cucumbervision.capture.frames import Capture
-    from cucumbervision.methods.intervals import IntervalModels
-    from cucumbervision.methods.pose import FruitPose
-    from cucumbervision.methods.result import Fruit
-    from cucumbervision_lab.data.labels import DataSet, LabelledPicture
-    from cucumbervision_lab.evaluate.measure_case import LengthRecord
-    from cucumbervision_lab.evaluate.pictures import Frame
-
-    Report = Callable[[str, int, int], None]
+Report = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from cucumbervision.tube.curve import polyline_length
 from cucumbervision.tube.shape import thread_length
 from cucumbervision_lab.arrays import Array, Generator
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
 
 _BALLS = 800  # every 0.3 mm for a 25 cm fruit, so that the surface ripple is below 1 µm
 

@@ -7,17 +7,15 @@ especially bright ones, highlights are saturated, and shaded fruit are dark.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from cucumbervision_lab.arrays import Array32, Generator, Pixels
 
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
-    Grain = float | tuple[float, float]
+Grain = float | tuple[float, float]
 
 Color = tuple[float, float, float]
 """sRGB, 0 to 255."""

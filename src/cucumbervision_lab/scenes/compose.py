@@ -7,19 +7,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision_lab.arrays import Array, Generator
 from cucumbervision_lab.scenes import placing
-from cucumbervision_lab.scenes.bodies import Variety, random_fruit, rotation
+from cucumbervision_lab.scenes.bodies import Tube, Variety, random_fruit, rotation
 from cucumbervision_lab.scenes.raycast import Leaf, Stem
 from cucumbervision_lab.scenes.scene import Scene
-
-if TYPE_CHECKING:
-    from cucumbervision.capture.intrinsics import Intrinsics
-    from cucumbervision_lab.scenes.bodies import Tube
 
 MOST_FRUIT = 12
 _TRIES = 30

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -11,19 +12,13 @@ from cucumbervision.capture.frames import fuse_burst
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.tube.curve import arc_positions, points_along
 from cucumbervision_lab.arrays import Array, Array32, Generator, Pixels
-from cucumbervision_lab.scenes.appearance import random_style
+from cucumbervision_lab.scenes.appearance import Assets, Style, random_style
 from cucumbervision_lab.scenes.colors import expose, palette, random_exposure
 from cucumbervision_lab.scenes.compose import HARD, PLAIN, Composition, Setting, compose
 from cucumbervision_lab.scenes.depth_camera import VGA, D4xx, sense
-from cucumbervision_lab.scenes.scene import render, truth_of
+from cucumbervision_lab.scenes.scene import FruitTruth, render, truth_of
 from cucumbervision_lab.scenes.shading import shade
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from cucumbervision_lab.scenes.appearance import Assets, Style
-    from cucumbervision_lab.scenes.scene import FruitTruth
-    from cucumbervision_lab.scenes.skin import Skin
+from cucumbervision_lab.scenes.skin import Skin
 
 _BURST = 3
 _VGA_SHARE = 0.5  # of the frames with depth

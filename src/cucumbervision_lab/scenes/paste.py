@@ -8,25 +8,19 @@ network predicted the masks; they have no length.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
+from numpy.typing import ArrayLike
 
 from cucumbervision.capture.pictures import read_color
 from cucumbervision.fruit.masks import box_of_mask
 from cucumbervision.networks.yolo_layout import BY_PLACE
 from cucumbervision_lab.arrays import Array, Array32, Generator, Mask, Pixels
-from cucumbervision_lab.data.labels import KEYPOINT_ORDER, Label
+from cucumbervision_lab.data.labels import KEYPOINT_ORDER, DataSet, Label, LabelledPicture
 from cucumbervision_lab.scenes.scene import reaches_border
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import ArrayLike
-
-    from cucumbervision_lab.data.labels import DataSet, LabelledPicture
 
 _MARGIN_PX = 4
 _LEAST_SIDE_PX = 40

@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
+from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision_lab.arrays import Array, Mask
+from cucumbervision_lab.scenes.bodies import Tube
 
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
-    from cucumbervision.capture.intrinsics import Intrinsics
-
-    Window = tuple[slice, slice]
-    from collections.abc import Sequence
-
-    from cucumbervision_lab.scenes.bodies import Tube
+Window = tuple[slice, slice]
 
 
 _COARSE_BALLS = 100

@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
+from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.tube.curve import points_along
 from cucumbervision_lab.arrays import Array, Array32, Mask, Pixels
 from cucumbervision_lab.scenes import raycast
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import ArrayLike, NDArray
-
-    from cucumbervision.capture.intrinsics import Intrinsics
-    from cucumbervision_lab.scenes.bodies import Tube
-    from cucumbervision_lab.scenes.raycast import Hit
+from cucumbervision_lab.scenes.bodies import Tube
+from cucumbervision_lab.scenes.raycast import Hit
 
 _KEYPOINT_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
 

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
+from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision_lab.arrays import Array32, Generator, Mask
 from cucumbervision_lab.scenes import lighting
-from cucumbervision_lab.scenes.appearance import FAR, Style
+from cucumbervision_lab.scenes.appearance import FAR, Assets, Style
 from cucumbervision_lab.scenes.colors import mix, sample, scale_colors, smooth_noise, to_linear
+from cucumbervision_lab.scenes.lighting import Light
 from cucumbervision_lab.scenes.raycast import ray_grid
-from cucumbervision_lab.scenes.scene import Kind
+from cucumbervision_lab.scenes.scene import Kind, Scene, View
 from cucumbervision_lab.scenes.skin import skin_maps
 from cucumbervision_lab.scenes.textures import (
     LEAF_TEXTURES,
@@ -25,15 +27,6 @@ from cucumbervision_lab.scenes.textures import (
     leaf_texture,
     material_tile,
 )
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from cucumbervision.capture.intrinsics import Intrinsics
-    from cucumbervision_lab.scenes.appearance import Assets
-    from cucumbervision_lab.scenes.lighting import Light
-    from cucumbervision_lab.scenes.scene import Scene, View
-
 
 _FAR_M = 8.0
 _PHOTOS = 3

@@ -20,9 +20,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import onnx
 
 from cucumbervision.errors import ModelError, TrainingError
 from cucumbervision.files import read_json
@@ -37,10 +38,6 @@ from cucumbervision_lab.train.network import (
     import_ultralytics,
     load_yolo,
 )
-
-if TYPE_CHECKING:
-    import onnx
-
 
 _LICENCE = "AGPL-3.0-only"
 

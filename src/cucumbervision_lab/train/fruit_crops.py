@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 from zlib import crc32
 
 import cv2
@@ -16,21 +16,17 @@ from numpy.typing import NDArray
 from cucumbervision.capture.pictures import read_color
 from cucumbervision.errors import TrainingError
 from cucumbervision.files import write_bytes
-from cucumbervision.fruit.crops import HEIGHT_PX, PLANES, WIDTH_PX, fruit_crop
+from cucumbervision.fruit.crops import HEIGHT_PX, PLANES, WIDTH_PX, FruitCrop, fruit_crop
+from cucumbervision.fruit.instance import Instance
 from cucumbervision.fruit.masks import box_ious, mask_iou
 from cucumbervision.networks.confidence import CANDIDATE_CONFIDENCE
 from cucumbervision.networks.find import NetworkLoader
+from cucumbervision.networks.yolo import YoloDetector
 from cucumbervision_lab.arrays import Array, Array32, Mask, Pixels, Progress
-from cucumbervision_lab.data.labels import KEYPOINT_ORDER, ticked
+from cucumbervision_lab.data.labels import KEYPOINT_ORDER, DataSet, Label, LabelledPicture, ticked
 from cucumbervision_lab.data.splits import is_held_out
 from cucumbervision_lab.evaluate.pictures import capture_of, frame_of
 from cucumbervision_lab.evaluate.scenes import true_positives
-
-if TYPE_CHECKING:
-    from cucumbervision.fruit.crops import FruitCrop
-    from cucumbervision.fruit.instance import Instance
-    from cucumbervision.networks.yolo import YoloDetector
-    from cucumbervision_lab.data.labels import DataSet, Label, LabelledPicture
 
 SURROUND_PX = (HEIGHT_PX + 16, WIDTH_PX + 32)
 """Size of the crops to train on: larger than the network sees, to move it in."""

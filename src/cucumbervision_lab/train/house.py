@@ -11,12 +11,12 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from cucumbervision.errors import TrainingError
 from cucumbervision.networks.confidence import DEFAULT_CONFIDENCE
 from cucumbervision.networks.registry import JUDGEMENT, file_sha256, load_registry
 from cucumbervision_lab.data.coco import ANNOTATIONS, read_coco
+from cucumbervision_lab.data.labels import DataSet
 from cucumbervision_lab.evaluate.outcomes import Score, detection_rows, fruit_rows, overall
 from cucumbervision_lab.evaluate.photos import audited_photos, evaluate_photos
 from cucumbervision_lab.evaluate.pictures import detect_set, open_networks, spread
@@ -25,9 +25,6 @@ from cucumbervision_lab.scenes.frame import FrameOptions
 from cucumbervision_lab.scenes.generate import SynthOptions, generate
 from cucumbervision_lab.train.export import export_trained, write_card
 from cucumbervision_lab.train.network import TrainOptions, photo_set, train
-
-if TYPE_CHECKING:
-    from cucumbervision_lab.data.labels import DataSet
 
 _LEAST_F1_GAIN, _MOST_F1_LOSS = 0.01, 0.02
 """Least gain of F1 on the greenhouse, and greatest loss on the other tests."""

@@ -7,12 +7,13 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from pydantic import TypeAdapter
 from scipy.spatial import cKDTree
 
+from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.pictures import read_color
 from cucumbervision.errors import DataSetError, wrap_reader_errors
@@ -20,21 +21,16 @@ from cucumbervision.fruit.instance import Instance, MaskSource
 from cucumbervision.fruit.mask_codes import Rle
 from cucumbervision.fruit.masks import box_ious, distances_inside, mask_pixels
 from cucumbervision.methods.intervals import mask_features, tube_features
-from cucumbervision.methods.result import MethodName
+from cucumbervision.methods.result import Fruit, MethodName
 from cucumbervision.methods.selector import measure_fruit
 from cucumbervision.networks.keypoint_axis import axis_line
 from cucumbervision.run.measurer import Measurer
 from cucumbervision.run.options import MeasureOptions
 from cucumbervision.tube.curve import arc_positions, points_along
 from cucumbervision_lab.arrays import Array, Generator, Mask, Progress
-from cucumbervision_lab.data.labels import ticked
+from cucumbervision_lab.data.labels import DataSet, Label, LabelledPicture, ticked
 from cucumbervision_lab.data.splits import is_held_out
 from cucumbervision_lab.evaluate.pictures import capture_of
-
-if TYPE_CHECKING:
-    from cucumbervision.capture.frames import Capture
-    from cucumbervision.methods.result import Fruit
-    from cucumbervision_lab.data.labels import DataSet, Label, LabelledPicture
 
 AXIS_POINTS = 33
 

@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import yaml
@@ -34,9 +34,6 @@ from cucumbervision_lab.data.labels import (
 from cucumbervision_lab.data.yolo import write_yolo
 from cucumbervision_lab.evaluate.photos import audited
 from cucumbervision_lab.scenes.colors import d435_colors
-
-if TYPE_CHECKING:
-    from cucumbervision_lab.data.labels import DataSet
 
 _INTEGRATIONS = ("clearml", "comet", "dvc", "mlflow", "neptune", "raytune", "tensorboard", "wandb")
 

@@ -227,7 +227,7 @@ def from_store(
     columns = ("accepted", "corrected", "added", "rejected", "unjudged")
     table = Table("split", "pictures", *columns, title=f"{out}: what was judged")
     for split, judgement in made.judged.items():
-        counts = [str(getattr(judgement, column)) for column in columns]
+        counts = [str(judgement[column]) for column in columns]
         table.add_row(split, str(len(made.dataset.in_split(split))), *counts)
     screen().print(table)
     if made.without_picture:

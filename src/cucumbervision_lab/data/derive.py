@@ -274,28 +274,6 @@ _STRETCH_M = 1.0
 """Stops of one row within this distance show the same plants, on any day and from either side."""
 
 
-@dataclass(frozen=True)
-class ReviewCounts:
-    """Number of detections by review outcome.
-
-    Parameters
-    ----------
-    accepted, corrected, added, rejected, unjudged : int
-        Numbers of detections. Corrected and added fruit are not counted as accepted.
-    """
-
-    accepted: int = 0
-    corrected: int = 0
-    added: int = 0
-    rejected: int = 0
-    unjudged: int = 0
-
-    @property
-    def corrections(self) -> int:
-        """Number of manual corrections."""
-        return self.corrected + self.added + self.rejected
-
-
 @dataclass(frozen=True, eq=False)
 class StoreSet:
     """A labelled set exported from a store.
@@ -304,14 +282,14 @@ class StoreSet:
     ----------
     dataset : DataSet
         The exported data set.
-        judged : dict of str to ReviewCounts
-        Review counts by split.
+    judged : dict of str to Counter
+        Number of detections that were accepted, corrected, added, rejected and unjudged, by split.
     without_picture : int
         Number of reviewed captures skipped because their pictures were not kept.
     """
 
     dataset: DataSet
-    judged: dict[str, ReviewCounts]
+    judged: dict[str, Counter[str]]
     without_picture: int = 0
 
 
@@ -352,7 +330,7 @@ def dataset_from_store(store: Store, out: Path, *, licence: str = "") -> StoreSe
             remedy="accept, reject, correct or add fruit in the dashboard first",
         )
     dataset = write_coco(DataSet(store.images.folder, tuple(pictures)), out)
-    judged = {split: ReviewCounts(**counts[split]) for split in SPLITS if split in counts}
+    judged = {split: counts[split] for split in SPLITS if split in counts}
     return StoreSet(dataset, judged, lost)
 
 

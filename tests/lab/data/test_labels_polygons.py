@@ -9,42 +9,12 @@ from numpy.typing import NDArray
 
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.fruit.mask_codes import fill_polygon
-from cucumbervision.fruit.masks import box_of_mask
 from cucumbervision_lab.data.labels import keypoints_of_mask, one_polygon
 from cucumbervision_lab.scenes.bodies import random_fruit
 from cucumbervision_lab.scenes.placing import place_hanging
 from cucumbervision_lab.scenes.scene import Scene, truth_of
 
 masks = hnp.arrays(bool, hnp.array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=24))
-
-
-def crosses_itself(points: NDArray[np.float64], slack: float = 2e-3) -> bool:
-    """Return whether two edges of a closed polygon cross, each going through the other."""
-    starts, ends = points, np.roll(points, -1, axis=0)
-    lengths = np.hypot(*(ends - starts).T)
-    starts, ends = starts[lengths > slack], ends[lengths > slack]
-    if len(starts) < 4:
-        return False
-    low, high = np.minimum(starts, ends), np.maximum(starts, ends)
-    meet = ((low[:, None] < high[None]) & (low[None] < high[:, None])).all(axis=2)
-    first, second = np.nonzero(np.triu(meet, 1))
-    a1, a2, b1, b2 = starts[first], ends[first], starts[second], ends[second]
-    through = _apart(a1, a2, b1, b2, slack) & _apart(b1, b2, a1, a2, slack)
-    return bool(through.any())
-
-
-def _apart(
-    a1: NDArray[np.float64],
-    a2: NDArray[np.float64],
-    b1: NDArray[np.float64],
-    b2: NDArray[np.float64],
-    slack: float,
-) -> NDArray[np.bool_]:
-    """Return whether b1 and b2 lie on different sides of the line through a1 and a2."""
-    along = (a2 - a1) / np.hypot(*(a2 - a1).T)[:, None]
-    left = np.stack([-along[:, 1], along[:, 0]], axis=1)
-    s1, s2 = ((b1 - a1) * left).sum(axis=1), ((b2 - a1) * left).sum(axis=1)
-    return np.asarray((np.minimum(s1, s2) < -slack) & (np.maximum(s1, s2) > slack))
 
 
 def without_holes(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -67,30 +37,6 @@ def test_one_polygon_of_all_parts_gives_the_mask_back(mask: NDArray[np.bool_]) -
     polygon = one_polygon(mask, min_part_px=0)
     assert polygon is not None
     assert (drawn(mask, polygon, 6) == without_holes(mask)).all()
-    assert not crosses_itself(np.round(polygon / 1280, 6) * 1280)
-
-
-def test_a_bridge_crosses_no_outline_of_long_straight_runs() -> None:
-    # The corners of the fork are far from the speck between its prongs; a bridge from corner to
-    # corner would go through a prong.
-    mask = np.zeros((40, 90), bool)
-    mask[2:6, 2:88] = mask[34:38, 2:88] = mask[2:38, 2:6] = True
-    mask[10:14, 40:44] = mask[18:22, 50:54] = mask[26:30, 60:64] = True
-    polygon = one_polygon(mask, min_part_px=0)
-    assert polygon is not None
-    assert not crosses_itself(polygon)
-    assert (fill_polygon(polygon, *mask.shape) == mask).all()
-
-
-@settings(deadline=None, max_examples=60)
-@given(masks)
-def test_a_polygon_reaches_exactly_to_the_masks_box(mask: NDArray[np.bool_]) -> None:
-    assume(mask.any())
-    polygon = one_polygon(mask, min_part_px=0)
-    assert polygon is not None
-    points = polygon - 0.5
-    edges = [*points.min(axis=0), *points.max(axis=0)]
-    assert edges == box_of_mask(mask).tolist()
 
 
 def test_specks_are_left_out_but_never_the_only_part() -> None:

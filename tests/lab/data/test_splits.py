@@ -13,7 +13,7 @@ from cucumbervision.capture.pictures import read_color, write_png
 from cucumbervision.errors import DataSetError
 from cucumbervision_lab.data.checks import check_dataset
 from cucumbervision_lab.data.labels import SPLITS, DataSet, Label, LabelledPicture
-from cucumbervision_lab.data.splits import find_scenes, scenes_by_name, split_by_scene
+from cucumbervision_lab.data.splits import find_scenes, split_by_scene
 from cucumbervision_lab.data.yolo import read_yolo
 from cucumbervision_lab.evaluate.photos import audited
 
@@ -90,20 +90,6 @@ def test_shares_and_scenes_must_make_sense() -> None:
     no_test = split_by_scene(made([1] * 20), (0.8, 0.2, 0.0))
     assert not no_test.in_split("test")
     assert len(no_test.in_split("val")) == 4
-
-
-def test_scenes_by_name() -> None:
-    files = ("row3_a.jpg", "row3_b.jpg", "other.jpg")
-    pictures = tuple(LabelledPicture(f, 64, 48) for f in files)
-    dataset = DataSet(Path("x"), (*pictures, LabelledPicture("row3_c.jpg", 64, 48, scene="kept")))
-    assert [p.scene for p in scenes_by_name(dataset, r"row\d+").pictures] == [
-        "row3",
-        "row3",
-        "",
-        "kept",
-    ]
-    with pytest.raises(DataSetError, match="invalid regular expression"):
-        scenes_by_name(dataset, "(")
 
 
 def test_copies_and_exports_of_one_picture_share_a_scene(make_set: MakeSet) -> None:

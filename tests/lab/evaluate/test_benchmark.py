@@ -145,13 +145,3 @@ def test_learnt_intervals_cover_other_fruit(scale_known: bool) -> None:
         own = found[found["method"] == key]
         covered = own[TRUTH_OF[key]].between(own["low_m"], own["high_m"])
         assert covered.mean() == pytest.approx(0.90, abs=0.035), key
-
-
-def test_hidden_fruit_get_wider_intervals() -> None:
-    book = fit_interval_models(drawn(1200, 1))
-    seen = dict.fromkeys(TUBE_FEATURES, 0.0)
-    narrow = book.interval("M6", 0.2, seen)
-    wide = book.interval("M6", 0.2, {**seen, "hidden": 0.5})
-    assert narrow is not None
-    assert wide is not None
-    assert wide[1] - wide[0] > 1.3 * (narrow[1] - narrow[0])

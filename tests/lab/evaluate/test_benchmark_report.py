@@ -6,11 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
-import pytest
 from tests.lab.evaluate.conftest import make_record
 
 from cucumbervision.accuracy.table import ReportTable
-from cucumbervision.errors import CucumberVisionError
 from cucumbervision_lab.evaluate.benchmark_report import benchmark_tables, write_tables
 from cucumbervision_lab.evaluate.cases import Suite
 from cucumbervision_lab.evaluate.measure_case import Masks, readings_frame
@@ -84,14 +82,3 @@ def test_tables_are_written_with_unrounded_numbers(tmp_path: Path) -> None:
             }
         ],
     }
-
-
-def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    with pytest.raises(CucumberVisionError, match="choose another --out"):
-        write_tables(tmp_path / "file" / "benchmark.json", {}, [])
-
-
-def test_nothing_to_report_is_refused() -> None:
-    with pytest.raises(CucumberVisionError, match="nothing to report"):
-        benchmark_tables(pd.DataFrame())

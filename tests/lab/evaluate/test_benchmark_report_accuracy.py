@@ -70,16 +70,6 @@ def test_accuracy_by_hand(make_record: MakeRecord) -> None:
     assert cell(table, "M1", "95 % by capture (%)") == "5.00 to 100.00"
 
 
-def test_a_method_that_was_not_run_is_not_punished(make_record: MakeRecord) -> None:
-    records = [
-        make_record("a", lengths_m={"M1": 0.2, "skan": 0.19}),
-        make_record("b", lengths_m={"M1": 0.2}),
-    ]
-    table = accuracy_table(readings_frame(records), LengthDefinition.CENTRELINE)
-    assert cell(table, "skan", "captures") == 1
-    assert cell(table, "skan", "MAPE (%)") == pytest.approx(5.0)
-
-
 def tables_of(records: Sequence[LengthRecord], truth: LengthDefinition) -> list[ReportTable]:
     return group_tables(comparable_readings(readings_frame(records), truth), truth)
 
@@ -114,25 +104,6 @@ def test_groups_by_hand(make_record: MakeRecord) -> None:
     assert straight[3:] == pytest.approx((50.0, 2.0, 2.0, 3.0, 100.0))
     assert bent[0] == "30 and more"
     assert bent[3:] == pytest.approx((20.0, 10.0, 10.0, 10.0, 100.0))
-
-
-def test_sizes_go_by_the_truth_of_the_table(make_record: MakeRecord) -> None:
-    # 9.8 cm along the axis and 10.4 by thread: small by the one, medium by the other.
-    records = [
-        make_record("a", centreline_m=0.098, thread_m=0.104, lengths_m={"M1": 0.1}),
-        make_record("b", lengths_m={"M1": 0.2}),
-    ]
-    tables = [
-        tables_of(records, truth)[0]
-        for truth in (LengthDefinition.CENTRELINE, LengthDefinition.THREAD)
-    ]
-    assert [table.rows[0][0] for table in tables] == ["small: below 10", "medium: 10 to 18"]
-
-
-def test_unknown_values_are_in_no_group(make_record: MakeRecord) -> None:
-    unknown = dict.fromkeys(("hidden_share", "tilt_deg", "distance_m"), float("nan"))
-    records = [make_record(c, lengths_m={"M6": 0.2}, **unknown) for c in "ab"]
-    assert tables_of(records, LengthDefinition.CENTRELINE) == []
 
 
 def test_fruit_that_m6_flags_are_a_group_of_their_own(make_record: MakeRecord) -> None:

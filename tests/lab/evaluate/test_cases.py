@@ -5,22 +5,13 @@ from dataclasses import replace
 import pytest
 
 from cucumbervision_lab.evaluate.cases import (
-    CAMERA,
     PAPER_THREADS_CM,
     build_fruit,
-    nearest_m,
     paper_cases,
     simulate,
     stress_cases,
     validation_cases,
 )
-
-
-def test_the_same_case_is_always_the_same() -> None:
-    case = stress_cases(1, first=5)[0]
-    one, other = (simulate(case) for _ in range(2))
-    assert (one.capture.depth_m == other.capture.depth_m).all()
-    assert one.depth_scale == other.depth_scale
 
 
 def test_fruit_are_as_long_as_their_cases_say() -> None:
@@ -29,15 +20,6 @@ def test_fruit_are_as_long_as_their_cases_say() -> None:
     for case in stress_cases(5):
         assert build_fruit(case).centreline_m == pytest.approx(case.length_m, rel=1e-4)
     assert [c.length_m * 100 for c in paper_cases(7)] == pytest.approx(PAPER_THREADS_CM)
-
-
-def test_whole_fruit_fit_into_the_picture() -> None:
-    assert nearest_m(0.2, 0) == pytest.approx(0.2 * 910.22 / (0.86 * 1280))
-    cut = [
-        simulate(case, frames=1).truth.cut_off for case in (*validation_cases(), *stress_cases(10))
-    ]
-    assert sum(cut) <= 1
-    assert CAMERA.width == 1280
 
 
 def test_hiding_leaves_hide_about_what_was_asked() -> None:

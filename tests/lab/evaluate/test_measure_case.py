@@ -11,17 +11,6 @@ def disc(radius_px: float) -> np.ndarray[tuple[int, int], np.dtype[np.bool_]]:
     return np.asarray(np.hypot(u - 100, v - 100) <= radius_px)
 
 
-@pytest.mark.parametrize("shift", [-3.0, 0.0, 3.0])
-def test_an_even_shift_changes_the_radius(shift: float) -> None:
-    moved = disturb_mask(disc(50), np.full((200, 200), shift, np.float32))
-    radius = np.sqrt(moved.sum() / np.pi)
-    assert radius == pytest.approx(50 + shift, abs=0.4)
-
-
-def test_no_shift_changes_nothing() -> None:
-    assert (disturb_mask(disc(50), np.zeros((200, 200), np.float32)) == disc(50)).all()
-
-
 def test_the_outline_moves_by_the_field_where_it_stands() -> None:
     shift = np.zeros((200, 200), np.float32)
     shift[:, 100:] = 4

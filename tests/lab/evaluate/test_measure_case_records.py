@@ -1,12 +1,11 @@
 from __future__ import annotations
 
 import math
-import sys
 from pathlib import Path
 
 import pytest
 
-from cucumbervision.errors import CucumberVisionError, MissingExtraError
+from cucumbervision.errors import CucumberVisionError
 from cucumbervision_lab.evaluate.measure_case import (
     LengthRecord,
     Masks,
@@ -53,9 +52,3 @@ def test_a_row_is_a_record_and_a_method() -> None:
     assert frame["thread_m"].isna().all()
     assert frame["thread_m"].dtype == float
     assert frame["flags"].tolist() == [["cut-by-frame"]] * 2
-
-
-def test_without_pandas_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(MissingExtraError, match=r"cucumbervision\[benchmark\]"):
-        readings_frame([ONE])

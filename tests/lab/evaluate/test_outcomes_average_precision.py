@@ -13,7 +13,7 @@ pytest.importorskip("pycocotools")
 from cucumbervision.fruit.mask_codes import Rle
 from cucumbervision_lab.data.labels import Label
 from cucumbervision_lab.evaluate.outcomes import OKS_SIGMA, IouType, average_precision
-from cucumbervision_lab.evaluate.pictures import Frame, Stage
+from cucumbervision_lab.evaluate.pictures import Frame
 
 SIZE = (200, 300)  # height, width
 
@@ -69,14 +69,6 @@ def test_a_false_one_between_two_hits(iou_type: IouType) -> None:
     assert found.map50_95 == pytest.approx(found.map50)
 
 
-@pytest.mark.parametrize("iou_type", [IouType.BOXES, IouType.MASKS])
-def test_overlap_counts_up_to_its_threshold(iou_type: IouType) -> None:
-    # 84 of 116 pixels in common along the long side: an IoU of 0.724, five thresholds of ten.
-    found = average_precision([frame([true(A)], [seen(edges(26, 10), 0.9)])], iou_type)
-    assert found.map50 == pytest.approx(1.0)
-    assert found.map50_95 == pytest.approx(0.5)
-
-
 def test_keypoint_similarity() -> None:
     # All five off by d: OKS = exp(-d² / (2 area (2 sigma)²)); 0.72 passes five thresholds of ten.
     area = 100 * 20
@@ -105,24 +97,7 @@ def test_fruit_without_mask_is_not_judged_by_masks() -> None:
     assert average_precision(pictures, IouType.KEYPOINTS).fruit == 1
 
 
-def test_detection_without_mask_is_a_false_mask() -> None:
-    pictures = [frame([true(A)], [Label(A, score=0.9)])]
-    assert average_precision(pictures, IouType.MASKS).map50 == 0.0
-    assert average_precision(pictures, IouType.BOXES).map50 == pytest.approx(1.0)
-
-
 def test_nothing_to_find_has_no_figure() -> None:
     found = average_precision([frame([], [seen(A, 0.9)])], IouType.BOXES)
     assert math.isnan(found.map50)
     assert found.fruit == 0
-
-
-def test_nothing_found() -> None:
-    assert average_precision([frame([true(A)], [])], IouType.MASKS).map50 == 0.0
-
-
-def test_stages_are_kept_apart() -> None:
-    hit, stray = (seen(A, 0.9),), (seen(ELSEWHERE, 0.9),)
-    picture = Frame("a", "a", 300, 200, (true(A),), hit, stray, hit)
-    assert average_precision([picture], IouType.BOXES, Stage.POSED).map50 == 0.0
-    assert average_precision([picture], IouType.BOXES).map50 == pytest.approx(1.0)

@@ -59,13 +59,6 @@ def test_recall_and_precision_of_photos() -> None:
     assert (board.value, empty.value) == pytest.approx((2 / 3, 0.0))
 
 
-def test_false_ones_are_listed_by_file_and_box() -> None:
-    shares, table = photo_tables(scored())
-    assert [row[0] for row in table.rows] == ["c.jpg", "d.jpg"]
-    assert table.rows[0][3] == "0, 120 to 90, 140"
-    assert "2 of the audit's photos are missing" in shares.comment
-
-
 class Reader:
     """A detector that boxes what is not grey."""
 

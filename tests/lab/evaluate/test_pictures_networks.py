@@ -58,17 +58,6 @@ def test_reported_is_what_detect_reports(with_pose: bool) -> None:
         assert (a.keypoints is None) == (b.keypoints is None)
 
 
-def test_where_the_detector_sees_nothing_nothing_is_reported() -> None:
-    points = np.column_stack([np.linspace(12, 108, 5), np.full(5, 14.5), np.ones(5)])
-    pose = [Instance(np.array([9.5, 9.5, 109.5, 19.5]), 0.9, keypoints=points)]
-    loaded = [cast(YoloDetector, Replay(*found)) for found in ([], pose)]
-    black = np.zeros((40, 120, 3), np.uint8)
-    assert Detectors(loaded[0], loaded[1]).find(black) == ()
-    assert merge_detections([], pose, 0.3) == ()
-    # Without a detector the pose network stands in.
-    assert len(merge_detections(None, pose, 0.3)) == 1
-
-
 def test_what_is_judged_is_what_ships() -> None:
     """The networks of the package, on the bundled captures: the same fruit, equally sure."""
     ours = NetworkLoader(full_precision=True).detectors()

@@ -43,17 +43,6 @@ def test_the_sensor_reads_what_is_there_to_a_few_millimetres() -> None:
     assert np.median(filled) > 0.9
 
 
-def test_a_camera_with_a_scale_error_reads_by_it() -> None:
-    options = FrameOptions(width=320, height=180, scale_sd=0.05)
-    frame, exact = draw_frame(5, 0, options, ASSETS), draw_frame(5, 0, SENSED, ASSETS)
-    assert frame.depth_m is not None
-    assert exact.depth_m is not None
-    both = (frame.depth_m > 0) & (exact.depth_m > 0)
-    ratio = np.median(frame.depth_m[both] / exact.depth_m[both])
-    assert abs(frame.depth_scale - 1) > 0.005
-    assert ratio == pytest.approx(frame.depth_scale, abs=0.004)
-
-
 def test_extras_hold_the_axis_and_its_length(frames: list[Frame]) -> None:
     for frame in frames:
         for truth in frame.truth:

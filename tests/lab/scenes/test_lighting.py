@@ -6,27 +6,9 @@ import pytest
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision_lab.scenes.appearance import Assets
 from cucumbervision_lab.scenes.bodies import arc_tube, rotation
-from cucumbervision_lab.scenes.lighting import (
-    Light,
-    ambient_occlusion,
-    dappled_shade,
-    harmonics,
-    irradiance,
-    light_maps,
-    sun_shadow,
-)
+from cucumbervision_lab.scenes.lighting import Light, ambient_occlusion, light_maps, sun_shadow
 from cucumbervision_lab.scenes.raycast import Plane
 from cucumbervision_lab.scenes.scene import Scene, render
-
-AXES = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
-
-
-def test_half_a_sky_lights_as_the_integral_says() -> None:
-    # Radiance 1 from above: pi on what faces up, nothing on what faces down, pi / 2 aside.
-    sky = np.zeros((128, 256, 3), np.float32)
-    sky[:64] = 1.0
-    got = irradiance(harmonics(sky), AXES)[:, 0]
-    assert got == pytest.approx([np.pi, 0.0, np.pi / 2], abs=0.02)
 
 
 @pytest.mark.parametrize("up", [(0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, -1.0)])
@@ -73,12 +55,3 @@ def test_it_is_darker_where_a_fruit_touches_the_ground(lying: np.ndarray) -> Non
     assert away > 0.97
     # No bright rim: the last pixels of the fruit are no brighter than its middle.
     assert row[300:320].max() <= row[320] + 0.02
-
-
-def test_leaves_out_of_sight_take_their_share_of_the_sun() -> None:
-    wall = np.full((360, 640), 0.6, np.float32)
-    light = Light(FROM_LEFT.sun, shade=0.7, spot_m=0.05)
-    seen = dappled_shade(np.random.default_rng(4), wall, CAMERA, light)
-    assert seen.min() == pytest.approx(0.3, abs=1e-5)
-    assert seen.max() == pytest.approx(1.0, abs=1e-5)
-    assert 0.1 < (seen < 0.4).mean() < 0.9

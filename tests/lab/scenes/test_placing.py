@@ -1,7 +1,6 @@
 from itertools import combinations
 
 import numpy as np
-import pytest
 
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision_lab.scenes.bodies import arc_tube, random_fruit
@@ -54,11 +53,3 @@ def test_a_crate_stands_around_what_lies_in_it() -> None:
         place = (rod.vertices_m - ground.point_m) @ ground.frame.T
         assert (np.abs(place[:, 0]) >= 0.15).all() or (np.abs(place[:, 1]) >= 0.10).all()
         assert (place[:, 2] >= rod.radius_m - 1e-12).all()
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_the_ground_lies_before_the_camera_and_faces_it(seed: int) -> None:
-    ground = Ground.seen(np.random.default_rng(seed), 0.5)
-    np.testing.assert_allclose(ground.frame @ ground.frame.T, np.eye(3), atol=1e-12)
-    assert np.linalg.det(ground.frame) == pytest.approx(1)
-    assert ground.frame[2, 2] < -np.cos(np.deg2rad(56))

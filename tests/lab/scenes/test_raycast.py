@@ -7,15 +7,7 @@ from numpy.typing import NDArray
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.tube.camera import Distortion
 from cucumbervision_lab.scenes.bodies import Tube, rotation
-from cucumbervision_lab.scenes.raycast import (
-    Leaf,
-    Stem,
-    cast_leaf,
-    cast_stem,
-    cast_tube,
-    ray_grid,
-    scaled_camera,
-)
+from cucumbervision_lab.scenes.raycast import Leaf, Stem, cast_leaf, cast_stem, cast_tube, ray_grid
 
 CAMERA = Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0)
 
@@ -113,12 +105,3 @@ def test_the_part_that_is_hit_tells_where_along_the_tube() -> None:
     inside = np.abs(x) < 0.06
     assert np.abs(along[inside] - x[inside]).max() < 2e-4
     assert set(hit.part[~hit.mask].tolist()) == {0}
-
-
-def test_half_the_picture_sees_the_same() -> None:
-    half = scaled_camera(CAMERA, 0.5)
-    # Between four pixels of the whole picture lies one of the half: the rays are the same.
-    x, y = CAMERA.rays(np.array([100.5]), np.array([40.5]))
-    half_x, half_y = half.rays(np.array([50.0]), np.array([20.0]))
-    np.testing.assert_allclose([half_x, half_y], [x, y])
-    assert half.size == (320, 240)

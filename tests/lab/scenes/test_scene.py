@@ -66,14 +66,6 @@ def test_cover_hides_the_share_asked_and_leaves_the_ends(share: float, tilt_deg:
         assert not ends.any()
 
 
-def test_cover_of_an_end_hides_one_end() -> None:
-    rng = np.random.default_rng(3)
-    fruit = place_hanging(random_fruit(rng, 0.25), (0.0, 0.0, 0.55))
-    (truth,) = truth_of(occlude(Scene((fruit,)), CAMERA, 0, 0.3, rng, ends_free=False), CAMERA)
-    assert truth.hidden_share == pytest.approx(0.3, abs=0.03)
-    assert sorted(truth.keypoint_visibility[[0, 4]].tolist()) == [1, 2]
-
-
 def test_a_cover_never_reaches_behind_the_camera() -> None:
     unchanged = 0
     for seed in range(8):
@@ -84,22 +76,6 @@ def test_a_cover_never_reaches_behind_the_camera() -> None:
         truth_of(covered, CAMERA)  # raises if anything is behind it
         unchanged += covered is bare
     assert unchanged > 0
-
-
-def test_a_trellis_hides_no_fruit() -> None:
-    for seed in range(4):
-        rng = np.random.default_rng(seed)
-        fruit = tuple(
-            place_hanging(
-                random_fruit(rng, 0.2), (x, 0.0, 0.55), tilt_deg=20.0, spin_deg=rng.uniform(0, 360)
-            )
-            for x in (-0.12, 0.12)
-        )
-        scene = trellis(rng, CAMERA, fruit)
-        view = render(scene, CAMERA)
-        assert [t.hidden_share for t in truth_of(scene, CAMERA, view)] == [0.0, 0.0]
-        assert (view.kind == Kind.LEAF).mean() > 0.4
-        assert (view.depth_m > 0).all()
 
 
 def test_every_seen_point_lies_on_the_surface() -> None:
@@ -125,15 +101,6 @@ def test_a_ball_has_its_analytic_outline() -> None:
     assert scene.mask(0).sum() == pytest.approx(np.pi * radius_px**2, rel=0.01)
     assert scene.depth_m[240, 320] == pytest.approx(0.47)
     assert scene.normal[240, 320] == pytest.approx([0, 0, -1])
-
-
-def test_shares_run_from_blossom_to_stem_end() -> None:
-    tube = arc_tube(0.2, 0.02).moved(rotation(), (0, 0, 0.5))
-    scene = render(Scene.of(tube), CAMERA)
-    row = scene.share[240][scene.mask(0)[240]]
-    assert row[0] == 0.0
-    assert row[-1] == 1.0
-    assert (np.diff(row) >= 0).all()
 
 
 def test_lens_distortion_moves_the_outline() -> None:

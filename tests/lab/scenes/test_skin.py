@@ -43,15 +43,3 @@ def test_skin_has_no_seam() -> None:
         albedo = maps_of(skin, seed, assets).albedo
         steps = np.abs(np.diff(albedo, axis=1)).mean(axis=(0, 2))
         assert np.abs(albedo[:, 0] - albedo[:, -1]).mean() <= steps.max()
-
-
-def test_chance_makes_the_varieties_what_they_are() -> None:
-    rng = np.random.default_rng(7)
-    many = {name: [random_skin(rng, name, Assets()) for _ in range(60)] for name in LOOKS}
-    green = {name: np.mean([s.base[1] for s in skins]) for name, skins in many.items()}
-    warts = {name: np.mean([s.warts_per_cm2 for s in skins]) for name, skins in many.items()}
-    assert green["pale"] > green["mini"] > green["slicing"]
-    assert warts["pickling"] > warts["slicing"] > warts["long"]
-    assert all(s.texture == -1 for skins in many.values() for s in skins)
-    with pytest.raises(ValueError, match="choose one of long, slicing"):
-        random_skin(rng, "melon", Assets())

@@ -84,21 +84,6 @@ def test_it_learns_what_the_targets_say() -> None:
     assert told[-1][1] < 0.2 * told[0][1]
 
 
-def test_no_epoch_leaves_the_network_as_it_was() -> None:
-    import torch
-
-    network = torch.nn.Linear(3, 1)
-    before = network.weight.detach().clone()
-
-    def loss(*_: Any) -> Any:
-        pytest.fail("nothing is learnt")
-
-    untrained = fit(lambda: network, 8, loss, ClassifierOptions(epochs=0))
-    assert untrained is network
-    assert not untrained.training
-    assert torch.equal(untrained.weight, before)
-
-
 def test_the_file_computes_what_the_network_does_for_any_number(tmp_path: Path) -> None:
     data, target = pictures(60, 5)
     options = ClassifierOptions(epochs=2, batch=16)
@@ -136,14 +121,3 @@ def test_the_card_says_how_the_network_was_made(tmp_path: Path) -> None:
         assert words in page
     saved = json.loads((tmp_path / "my-look.json").read_text())
     assert (saved["task"], saved["metrics"]) == ("look", {"accuracy": 0.75})
-
-
-def test_the_card_of_a_checkpoint_that_is_only_judged_names_it(tmp_path: Path) -> None:
-    network, checkpoint = tmp_path / "look.onnx", tmp_path / "begun.pt"
-    network.write_bytes(b"a network")
-    checkpoint.write_bytes(b"a checkpoint")
-
-    judged = trained(network, **{"crops learnt from": 12.0})
-    card = write_classifier_card(judged, "look", checkpoint, ClassifierOptions(0))
-    assert card.checkpoint_sha256 == file_sha256(checkpoint)
-    assert card.metrics == {"accuracy": 0.75}

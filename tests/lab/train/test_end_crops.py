@@ -8,18 +8,11 @@ import pytest
 
 from cucumbervision.errors import TrainingError
 from cucumbervision.fruit.crops import END_PX, PLANES
-from cucumbervision.networks.looks import STATES
 from cucumbervision_lab.data.labels import DataSet
 from cucumbervision_lab.scenes.frame import FrameOptions
 from cucumbervision_lab.scenes.generate import SynthOptions, generate
 from cucumbervision_lab.scenes.paste import Cutout
-from cucumbervision_lab.train.end_crops import (
-    MISSING,
-    EndCrops,
-    collect_covered_ends,
-    collect_end_crops,
-    moved_axis,
-)
+from cucumbervision_lab.train.end_crops import EndCrops, collect_covered_ends, collect_end_crops
 from cucumbervision_lab.train.measured_ends import labelled_fruit
 
 if TYPE_CHECKING:
@@ -73,13 +66,6 @@ def test_nothing_measured_is_named(drawn: DataSet) -> None:
         collect_end_crops([], drawn)
 
 
-def test_a_long_move_inward_leaves_some_of_the_axis() -> None:
-    axis = np.stack([np.linspace(0, 0.1, 11), np.zeros(11), np.ones(11)], axis=1)
-    assert moved_axis(axis, -0.5)[:, 0] == pytest.approx(np.linspace(0.09, 0.1, 11))
-    assert len(STATES) == 3
-    assert MISSING > 0
-
-
 def test_states_are_by_what_is_missing_or_by_eye() -> None:
     drawn = crops(4)
     missing = np.array([0.06, -0.06, 0.04, np.nan], np.float32)
@@ -87,12 +73,6 @@ def test_states_are_by_what_is_missing_or_by_eye() -> None:
     assert replace(drawn, missing=missing, covered=covered).state.tolist() == [1, 2, 0, 1]
     unknown = np.full(4, np.nan, np.float32)
     assert replace(drawn, missing=unknown, covered=unknown).state.tolist() == [-1] * 4
-
-
-def test_sets_are_joined_with_fruit_numbered_on() -> None:
-    joined = EndCrops.joined([crops(6), crops(4)])
-    assert joined.fruit.tolist() == [0, 0, 1, 1, 2, 2, 3, 3, 4, 4]
-    assert len(joined.planes) == 10
 
 
 def test_covered_ends_miss_what_a_leaf_hides(drawn: DataSet) -> None:

@@ -12,7 +12,7 @@ from cucumbervision.errors import TrainingError
 from cucumbervision.fruit.crops import HEIGHT_PX, WIDTH_PX, fruit_crop
 from cucumbervision.fruit.instance import Instance
 from cucumbervision.fruit.masks import box_of_mask
-from cucumbervision_lab.data.labels import KEYPOINT_ORDER, Label, LabelledPicture
+from cucumbervision_lab.data.labels import Label, LabelledPicture
 from cucumbervision_lab.scenes.frame import FrameOptions
 from cucumbervision_lab.scenes.generate import SynthOptions, generate
 from cucumbervision_lab.train.fruit_crops import (
@@ -75,12 +75,6 @@ def test_keypoints_run_from_left_to_right_and_tell_where_the_stem_is() -> None:
         assert outline[row, column + (4 if column < 144 else -4)] > 200
 
 
-def test_points_in_order_of_their_place_say_nothing_of_the_stem() -> None:
-    label = Label.of_mask(MASK, keypoints=POINTS, extras={KEYPOINT_ORDER: "place"})
-    *_, stem, _ = _row(_crop(), _instance(), True, _picture(label))
-    assert np.isnan(stem)
-
-
 def test_what_is_no_fruit_has_an_empty_outline_and_what_is_not_known_none() -> None:
     for is_fruit, known in ((False, True), (None, False)):
         row = _row(_crop(), _instance(), is_fruit, _picture())
@@ -104,13 +98,6 @@ def test_detections_of_drawn_fruit_come_with_their_truth(drawn: DataSet) -> None
     ious = (given & true).sum((1, 2)) / (given | true).sum((1, 2))
     assert np.median(ious) > 0.8
     assert (fruit.planes[..., 4] > 0).any((1, 2)).all()  # depth was read
-
-
-def test_nothing_is_learnt_from_test_pictures(drawn: DataSet, tmp_path: Path) -> None:
-    tested = tuple(replace(picture, split="test") for picture in drawn.pictures)
-    assert len(collect_fruit_crops(replace(drawn, pictures=tested)).planes) == 0
-    with pytest.raises(TrainingError, match="too few scenes"):
-        collect_sets([replace(drawn, pictures=tested)], tmp_path)
 
 
 def test_an_interrupted_collection_goes_on(drawn: DataSet, tmp_path: Path) -> None:

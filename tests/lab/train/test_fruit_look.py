@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -107,19 +106,6 @@ def test_every_part_of_the_answer_counts() -> None:
         (outline, places, -verdict),
     ):
         assert loss(worse, *truth) > perfect + 0.1
-
-
-def test_what_is_not_labelled_does_not_count() -> None:
-    crops = bars(8)
-    unknown = replace(
-        crops,
-        has_outline=np.zeros(8, bool),
-        points=np.full_like(crops.points, np.nan),
-        visible=np.full_like(crops.visible, np.nan),
-        is_fruit=np.full_like(crops.is_fruit, np.nan),
-    )
-    (answer, _), (_, truth) = _answer(crops), _answer(unknown)
-    assert loss(answer, *truth) == 0
 
 
 def test_training_teaches_outlines_and_the_file_says_the_same(tmp_path: Path) -> None:

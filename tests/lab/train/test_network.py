@@ -39,12 +39,6 @@ def test_a_run_holds_its_weights_and_what_it_began_with(seg_run: Path) -> None:
         assert line in used
 
 
-def test_a_finished_run_has_nothing_to_do(seg_run: Path) -> None:
-    before = (seg_run / "results.csv").read_bytes()
-    assert train("seg", [], seg_run, "yolo26n-seg.yaml", QUICK) == (seg_run / NETWORK).resolve()
-    assert (seg_run / "results.csv").read_bytes() == before
-
-
 def test_an_interrupted_run_goes_on_at_its_next_epoch(pose_set: Path, tmp_path: Path) -> None:
     def stop(_: str) -> None:
         raise KeyboardInterrupt

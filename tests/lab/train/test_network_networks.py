@@ -9,7 +9,7 @@ if importlib.util.find_spec("ultralytics") is None:
     pytest.skip("needs the extra 'train'", allow_module_level=True)
 
 from cucumbervision.errors import ModelError, TrainingError
-from cucumbervision_lab.train.network import allowed_threads, average_networks, load_yolo
+from cucumbervision_lab.train.network import average_networks, load_yolo
 
 pytestmark = pytest.mark.train
 
@@ -40,10 +40,3 @@ def test_what_cannot_be_averaged_is_named(tmp_path: Path) -> None:
         average_networks(seg, seg, tmp_path / "out.pt", 1.5)
     with pytest.raises(ModelError, match=r"bad\.pt: Ultralytics cannot load"):
         average_networks(tmp_path / "bad.pt", seg, tmp_path / "out.pt")
-
-
-def test_the_users_threads_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("OMP_NUM_THREADS", "3")
-    assert allowed_threads() == 3
-    monkeypatch.setenv("OMP_NUM_THREADS", "")
-    assert allowed_threads() >= 1

@@ -71,7 +71,7 @@ def marked_ends(photo: dict[str, Any], capture: Capture, measurer: Measurer) -> 
     """Yield the marked ends of a photo at which a mask of today ends."""
     masks = [
         instance.mask
-        for instance in measurer.detect(capture).detections.instances
+        for instance in measurer.detect(capture)[1].instances
         if instance.mask is not None
     ]
     drawn = [(mask, line) for mask in masks if (line := axis_line(mask)) is not None]

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from cucumbervision.run.batch import LoopOptions
     from cucumbervision.run.options import MeasureOptions
     from cucumbervision_greenhouse.rounds.adding import Added
-    from cucumbervision_greenhouse.store.records import FruitRow, Round
+    from cucumbervision_greenhouse.store.records import Round
     from cucumbervision_greenhouse.store.repository import Store
 
 
@@ -75,10 +75,8 @@ def new(
     record = Round(name=name, house=house, profile=profile)
     with open_store(store) as opened:
         opened.save_round(record)
-        saved = next(
-            round_summary for round_summary in opened.rounds() if round_summary.key == record.key
-        )
-    if saved.house != house.strip():
+        saved = opened.round(record.key)
+    if saved is not None and saved.house != house.strip():
         typer.echo(f"the round is in the house '{saved.house}', known by that name", err=True)
     typer.echo(record.key)
 
@@ -237,15 +235,12 @@ def merge(store: StoreName = "house.db", round_: RoundName = "") -> None:
     console = screen()
     console.print(table)
     for row in rows:
+        name = f"row {row.row}"
         if row.unplaced:
-            console.print(
-                f"row {row.row}: {row.unplaced} fruit without position or depth are not merged"
-            )
+            console.print(f"{name}: {row.unplaced} fruit without position or depth are not merged")
         for side in row.mirrored:
-            console.print(
-                f"row {row.row}, side {side}: positions seem to be reversed; "
-                "add its captures to a new round with --higher-to"
-            )
+            words = "add its captures to a new round with --higher-to"
+            console.print(f"{name}, side {side}: positions seem to be reversed; {words}")
 
 
 def settle_round(store: Store, key: str) -> None:
@@ -285,8 +280,13 @@ def link(
 def show(store: StoreName = "house.db", round_: RoundName = "", profile: Profile = None) -> None:
     """Show a round's fruit by row and position."""
     from cucumbervision.cli.console import columns_table, screen
+    from cucumbervision.crop.grades import grade
+    from cucumbervision.methods.flags import flag_remarks
     from cucumbervision_greenhouse.rounds.from_store import read_round
     from cucumbervision_greenhouse.rounds.fruit_table import fruit_table
+
+    def cm(low: float | None, high: float | None = None) -> str:
+        return " – ".join(f"{100 * x:.1f}" for x in (low, high) if x is not None)
 
     with opened_round(store, round_) as (opened, round_summary):
         lines = fruit_table(read_round(opened, round_summary.key))
@@ -297,37 +297,19 @@ def show(store: StoreName = "house.db", round_: RoundName = "", profile: Profile
     for head in ("class", "remarks", "key"):
         table.add_column(head, overflow="fold")
     for line in lines:
-        table.add_row(*_cells(line, crop))
+        unmeasured = f"not measured: {line.reason}" if line.length is None else ""
+        picked = "" if line.picked_s is None else "picked"
+        table.add_row(
+            *(str(line.number), line.row or "", line.side or ""),
+            "" if line.along_m is None else f"{line.along_m:.2f}",
+            f"{'≥ ' if line.at_least else ''}{cm(line.length_m)}",
+            "" if line.at_least else cm(line.interval_low_m, line.interval_high_m),
+            str(line.views),
+            "" if crop is None else grade(line, crop).words,
+            "; ".join(filter(None, (unmeasured, picked, flag_remarks(line.flags)))),
+            line.key[:8],
+        )
     screen().print(table)
-
-
-def _cells(line: FruitRow, profile: CropProfile | None) -> list[str]:
-    from cucumbervision.crop.grades import grade
-    from cucumbervision.methods.flags import flag_remarks
-
-    view, record = line, line
-    length = record.length
-    low_m, high_m = (None, None) if length is None else (length.low_m, length.high_m)
-    prefix = "≥ " if record.at_least else ""
-    remarks = [
-        "" if length is not None else f"not measured: {record.reason}",
-        "" if view.picked_s is None else "picked",
-        flag_remarks(record.flags),
-    ]
-    return [
-        str(line.number),
-        view.row or "",
-        view.side or "",
-        "" if view.along_m is None else f"{view.along_m:.2f}",
-        "" if length is None else f"{prefix}{100 * length.value_m:.1f}",
-        ""
-        if prefix or low_m is None or high_m is None
-        else f"{100 * low_m:.1f} – {100 * high_m:.1f}",
-        str(view.views),
-        "" if profile is None else grade(record, profile).words,
-        "; ".join(filter(None, remarks)),
-        view.key[:8],
-    ]
 
 
 @app.command("list")
@@ -340,15 +322,10 @@ def list_(store: StoreName = "house.db") -> None:
         rounds = opened.rounds()
     text_columns = ("key", "name", "house", "walked", "profile")
     table = columns_table(None, text_columns, "stops", "views")
-    for round_summary in rounds:
-        record = round_summary
-        walked = (
-            datetime.fromtimestamp(round_summary.walked_s).astimezone().strftime("%Y-%m-%d %H:%M")
-        )
-        counts = str(round_summary.stops), str(round_summary.fruit)
-        table.add_row(
-            round_summary.key[:8], record.name, record.house, walked, record.profile, *counts
-        )
+    for walk in rounds:
+        walked = datetime.fromtimestamp(walk.walked_s).astimezone().strftime("%Y-%m-%d %H:%M")
+        counts = str(walk.stops), str(walk.fruit)
+        table.add_row(walk.key[:8], walk.name, walk.house, walked, walk.profile, *counts)
     screen().print(table)
 
 
@@ -368,13 +345,9 @@ def check(
         report = check_store(opened, remove=remove)
     console = screen()
     console.print(f"{report.pictures} pictures, {len(report.orphans)} files that no stop names")
-    lines = [
-        *(f"removed: {path}" for path in report.removed),
-        *(f"missing: {path}" for path in report.missing),
-        *(f"damaged: {path}" for path in report.damaged),
-        *report.faults,
-    ]
-    for line in lines:
+    kinds = ("removed", "missing", "damaged")
+    lines = [f"{kind}: {path}" for kind in kinds for path in getattr(report, kind)]
+    for line in (*lines, *report.faults):
         console.print(line, soft_wrap=True, markup=False)
     console.print("sound" if report.sound else "copy what is missing or damaged from a backup")
     raise typer.Exit(0 if report.sound else 1)

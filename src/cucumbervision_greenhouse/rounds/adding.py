@@ -138,9 +138,7 @@ class RoundCapture(Listed):
         placed = Placed.of(capture, number, place) if is_deleted is None else None
         listed = Listed.of(capture if placed is None else placed.capture)
         return cls(
-            input=listed.input,
-            ref=listed.ref,
-            name=listed.name,
+            **vars(listed),
             round_key=round_key,
             key=key,
             place=placed,

@@ -12,11 +12,10 @@ import numpy as np
 from cucumbervision.errors import RoundError
 from cucumbervision.methods.matching import ALONG, DEPTH, UP
 from cucumbervision.methods.result import UNKNOWN_SD, LengthDefinition
-from cucumbervision_greenhouse.rounds.merge import NO_PAIRS, ByHand, Merged, cluster_pairs
+from cucumbervision_greenhouse.rounds.merge import Merged, cluster_pairs
 from cucumbervision_greenhouse.rounds.poses import MIDDLE_SD_M, offset_of, stored_pose
 from cucumbervision_greenhouse.rounds.row_views import RowStops, RowViews
 from cucumbervision_greenhouse.rounds.stop_alignment import prior_stops
-from cucumbervision_greenhouse.store.links import LinkKind
 from cucumbervision_greenhouse.store.records import Verdict
 
 if TYPE_CHECKING:
@@ -25,7 +24,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cucumbervision_greenhouse.rounds.row_views import Ints
-    from cucumbervision_greenhouse.store.links import LinkRecord
     from cucumbervision_greenhouse.store.records import FruitRow, Round, StopRecord
     from cucumbervision_greenhouse.store.repository import Store
 
@@ -256,21 +254,6 @@ def _length(view: FruitRow) -> tuple[float, float]:
     # Lengths of another kind may differ by more than any of them errs.
     least_sd = _LEAST_SD if length.kind in set(LengthDefinition) else UNKNOWN_SD
     return length.value_m, max(length.relative_sd or UNKNOWN_SD, least_sd)
-
-
-def by_hand_of(row: StoredRow, links: Sequence[LinkRecord]) -> ByHand:
-    """Return the pairs of a row's views that were merged or separated by hand."""
-    index = {key: k for k, key in enumerate(row.fruit_keys)}
-
-    def pairs(kind: LinkKind) -> Ints:
-        chosen = [
-            (index[link.first], index[link.second])
-            for link in links
-            if link.by_hand and link.kind is kind and link.first in index and link.second in index
-        ]
-        return np.array(chosen, np.int64).reshape(-1, 2) if chosen else NO_PAIRS
-
-    return ByHand(pairs(LinkKind.SAME), pairs(LinkKind.APART))
 
 
 def stored_merging(content: RoundContent, row: StoredRow) -> Merged:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from cucumbervision_greenhouse.rounds.row_views import Floats, Ints
 
 _LEAST_RATIO = -8.0  # log likelihood ratio of a pair that is no candidate
-
-_MERGED_RATIO = 40.0  # log likelihood ratio of a pair that was merged by hand
 
 
 def sweep(views: RowViews, i: Ints, j: Ints, ratio: Floats, cluster: Ints) -> Ints:
@@ -161,28 +159,12 @@ def cluster_pairs(cluster: Ints) -> tuple[Ints, Ints]:
 
 NO_PAIRS: Ints = np.zeros((0, 2), np.int64)
 
-_SEPARATED_RATIO = -1e3  # log likelihood ratio of a pair that was separated by hand
-
 _GATE_SD = 4.0
 _PASSES = 4  # of assignment and estimation
 _SEEN_AGAIN = 0.9  # share of the captures which could show a fruit that do show it
 _SEEN_ACROSS = 0.3  # the same for captures from the other aisle, where leaves hide most fruit
 # Between the cameras of the two aisles, into the row: the sum of both distances to the same fruit.
 _ACROSS_M, _ACROSS_SD_M = 1.4, 0.3
-
-
-@dataclass(frozen=True, eq=False)
-class ByHand:
-    """Pairs of views that were decided by hand.
-
-    Parameters
-    ----------
-    same, apart : ndarray of int64, shape (K, 2)
-        Pairs of one fruit, and pairs of two.
-    """
-
-    same: Ints = field(default_factory=lambda: NO_PAIRS)
-    apart: Ints = field(default_factory=lambda: NO_PAIRS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,7 +197,7 @@ class Merged:
         return np.asarray(self.stops.at_m[views.stop] + views.offset_m)
 
 
-def merge_row(stops: RowStops, views: RowViews, by_hand: ByHand | None = None) -> Merged:
+def merge_row(stops: RowStops, views: RowViews) -> Merged:
     """Merge the views of one row into fruit.
 
     First pairs come from shifts that are tried between each two stops (`vote_pairs`). Then the
@@ -228,8 +210,6 @@ def merge_row(stops: RowStops, views: RowViews, by_hand: ByHand | None = None) -
         The stops of both sides.
     views : RowViews
         Their detections.
-    by_hand : ByHand, optional
-        Corrections by hand, which are kept.
 
     Returns
     -------
@@ -246,7 +226,6 @@ def merge_row(stops: RowStops, views: RowViews, by_hand: ByHand | None = None) -
     >>> merge_row(stops, views).cluster.tolist()
     [0, 0]
     """
-    by_hand = by_hand or ByHand()
     crowd = crowd_of(views, _views_per_m(stops, views))
     start = prior_stops(stops)
     i, j = _candidates(start, views)
@@ -261,13 +240,13 @@ def merge_row(stops: RowStops, views: RowViews, by_hand: ByHand | None = None) -
         fitted = fit_stops(stops, views, voted[0], voted[1], np.full(len(voted[0]), 0.8))
     cluster: Ints = np.arange(len(views))
     for _ in range(_PASSES):
-        i, j, ratio = _rated(fitted, stops, views, crowd, by_hand)
+        i, j, ratio = _rated(fitted, stops, views, crowd)
         cluster = sweep(views, i, j, ratio, cluster)
         cluster = sweep(views, i, j, ratio, join_clusters(views, i, j, ratio, cluster))
         a, b = cluster_pairs(cluster)
         m = np.bincount(cluster, minlength=len(views))[cluster[a]]
         fitted = fit_stops(stops, views, a, b, 2.0 / np.maximum(m, 1))
-    i, j, ratio = _rated(fitted, stops, views, crowd, by_hand)
+    i, j, ratio = _rated(fitted, stops, views, crowd)
     cluster = join_clusters(views, i, j, ratio, sweep(views, i, j, ratio, cluster))
     along = fitted.at_m[views.stop, ALONG] + views.offset_m[:, ALONG]
     numbers = _numbered(cluster, along)
@@ -309,24 +288,17 @@ def _gaps(fitted: FittedStops, views: RowViews, i: Ints, j: Ints) -> tuple[Float
 
 
 def _rated(
-    fitted: FittedStops, stops: RowStops, views: RowViews, crowd: Crowd, by_hand: ByHand
+    fitted: FittedStops, stops: RowStops, views: RowViews, crowd: Crowd
 ) -> tuple[Ints, Ints, Floats]:
     """Return the candidates and their log likelihood ratios."""
     i, j = _candidates(fitted, views)
-    hand_pairs = np.vstack([by_hand.same, by_hand.apart])
-    i, j = np.concatenate([i, hand_pairs[:, 0]]), np.concatenate([j, hand_pairs[:, 1]])
     i, j = np.minimum(i, j), np.maximum(i, j)
-    _, once = np.unique(i * len(views) + j, return_index=True)
-    i, j = i[once], j[once]
+    order = np.lexsort((j, i))
+    i, j = i[order], j[order]
     gap, variance = _gaps(fitted, views, i, j)
     ratio = position_ratio(gap, variance, crowd) + shape_ratio(views, i, j, crowd)
     across = stops.side[views.stop[i]] != stops.side[views.stop[j]]
-    ratio += np.log(np.where(across, _SEEN_ACROSS, _SEEN_AGAIN))
-    codes = i * len(views) + j
-    for pairs, value in ((by_hand.same, _MERGED_RATIO), (by_hand.apart, _SEPARATED_RATIO)):
-        ordered = np.sort(pairs, axis=1)
-        ratio[np.isin(codes, ordered[:, 0] * len(views) + ordered[:, 1])] = value
-    return i, j, ratio
+    return i, j, ratio + np.log(np.where(across, _SEEN_ACROSS, _SEEN_AGAIN))
 
 
 def _vote_across(

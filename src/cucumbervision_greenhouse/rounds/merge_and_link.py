@@ -17,7 +17,6 @@ from cucumbervision_greenhouse.rounds.day_linking import link_days
 from cucumbervision_greenhouse.rounds.from_store import (
     CONTENTS,
     RoundContent,
-    by_hand_of,
     counted_fruit,
     read_round,
     stored_merging,
@@ -104,7 +103,7 @@ class RowLinks:
 def merge_round(store: Store, round_key: str) -> list[RowCounts]:
     """Merge all rows of a round again, and save the links and the fitted stop positions.
 
-    Corrections by hand are kept.
+    What was linked or parted by hand is kept: it comes before what is found here.
 
     Parameters
     ----------
@@ -118,12 +117,11 @@ def merge_round(store: Store, round_key: str) -> list[RowCounts]:
     RoundError
         If a row has more than two sides.
     """
-    by_hand = store.links(round_key)
     links: list[LinkRecord] = []
     positions: dict[str, tuple[float, float]] = {}
     reports = []
     for row in read_round(store, round_key).rows:
-        merged = _merged(row, by_hand)
+        merged = _merged(row)
         for (a, b), chance in zip(merged.pairs.tolist(), merged.probability.tolist(), strict=True):
             first, second = row.fruit_keys[a], row.fruit_keys[b]
             links.append(LinkRecord(LinkKind.SAME, first, second, chance))
@@ -135,11 +133,11 @@ def merge_round(store: Store, round_key: str) -> list[RowCounts]:
     return reports
 
 
-def _merged(row: StoredRow, links: Sequence[LinkRecord]) -> Merged:
+def _merged(row: StoredRow) -> Merged:
     if not len(row.views):
         nothing = np.zeros(0)
         return Merged(nothing.astype(np.int64), prior_stops(row.stops), NO_PAIRS, nothing)
-    return merge_row(row.stops, row.views, by_hand=by_hand_of(row, links))
+    return merge_row(row.stops, row.views)
 
 
 def _report(row: StoredRow, merged: Merged, fruit: int, *, done: bool = True) -> RowCounts:

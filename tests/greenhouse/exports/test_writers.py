@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import csv
 import json
-import os
 import re
 import shutil
 import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
-import numpy as np
 import pytest
 from tests.greenhouse.exports.conftest import CONFIG, EVIL, MODEL, SITE, WALK
 from typer.testing import CliRunner
@@ -196,37 +192,6 @@ def test_the_command_writes_what_is_asked_for(store: Store, house: Path, tmp_pat
 def test_the_page_on_exports_names_every_table() -> None:
     text = (ROOT / "docs" / "exports.md").read_text(encoding="utf-8")
     assert re.findall(r"^\| `(\w+)` \| (?!a file|`)", text, re.M)[-len(COLUMNS) :] == list(COLUMNS)
-
-
-def workbook_pages(*arguments: object, **environment: str) -> subprocess.CompletedProcess[str]:
-    script = ROOT / "website" / "workbook_pages.py"
-    command = [sys.executable, *map(str, (script, *arguments))]
-    env = {**os.environ, **environment}
-    return subprocess.run(command, capture_output=True, text=True, env=env, timeout=600)
-
-
-def test_what_draws_the_workbook_s_pages_is_named_where_it_is_missing(tmp_path: Path) -> None:
-    done = workbook_pages("round.xlsx", tmp_path / "out", PATH=str(tmp_path))
-    assert done.returncode == 1
-    assert done.stderr == ("a program is missing: apt install libreoffice-calc poppler-utils\n")
-    assert not (tmp_path / "out").exists()
-
-
-def test_every_sheet_of_the_workbook_prints(tables: RoundTables, tmp_path: Path) -> None:
-    for program in ("soffice", "pdftoppm"):
-        if shutil.which(program) is None:
-            pytest.skip(f"{program} is not installed: nothing can lay the workbook out")
-    (book,) = write_exports(tables, tmp_path, [ExportFormat.XLSX])
-    done = workbook_pages(book, tmp_path / "out")
-    assert done.returncode == 0, done.stderr
-    pages = [cv2.imread(str(path)) for path in sorted((tmp_path / "out").glob("page-*.png"))]
-    assert len(pages) >= len(SHEETS) + 2  # the summary and what the columns say
-    assert done.stdout == f"{len(pages)} pages in {tmp_path / 'out'}\n"
-    for page in pages:
-        assert page is not None
-        high, wide = page.shape[:2]
-        assert sorted((high, wide)) == pytest.approx([80 * 210 / 25.4, 80 * 297 / 25.4], abs=2)
-        assert np.any(page < 128, axis=2).mean() > 0.002  # something is written on it
 
 
 def test_an_export_that_fails_leaves_the_last_one_whole(

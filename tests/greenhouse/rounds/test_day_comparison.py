@@ -9,7 +9,6 @@ from cucumbervision.methods.result import Length, LengthDefinition, LengthKind
 from cucumbervision_greenhouse.rounds.day_comparison import (
     Change,
     DayComparison,
-    FruitChange,
     compare_rounds,
     fruit_days,
     same_fruit,
@@ -199,23 +198,6 @@ def test_where_only_one_round_went_nothing_is_new_or_gone(store: Store) -> None:
     assert list(comparison.by_row()) == ["1", "2", "10"]
     assert comparison.by_row()["2"].before == 0
     assert comparison.counts().not_walked == 3
-
-
-def test_each_fruit_is_counted_once_however_many_rows_there_are(
-    store: Store, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for row in range(20):
-        save_stop(store, TUESDAY, 1.0, {0.0: Length(0.10), 0.2: Length(0.15)}, row=str(row))
-    comparison = compare(store, MONDAY, TUESDAY)
-    asked: list[FruitChange] = []
-
-    def row_of(fruit: FruitChange) -> str:
-        asked.append(fruit)
-        return fruit.after.row or "" if fruit.after else ""
-
-    monkeypatch.setattr(FruitChange, "row", property(row_of))
-    assert [counts.not_walked for counts in comparison.by_row().values()] == [2] * 20
-    assert len(asked) == 40
 
 
 def test_a_row_without_positions_counts_as_walked(store: Store) -> None:

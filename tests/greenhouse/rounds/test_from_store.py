@@ -11,7 +11,6 @@ from cucumbervision.errors import RoundError, StoreError
 from cucumbervision.methods.result import Length, LengthDefinition, LengthKind
 from cucumbervision_greenhouse.rounds.from_store import (
     StoredRow,
-    by_hand_of,
     counted_fruit,
     find_round,
     read_round,
@@ -177,21 +176,6 @@ def test_what_people_say_of_fruit_is_in_the_row(store: Store) -> None:
 def test_three_sides_of_one_row_are_refused(store: Store) -> None:
     with pytest.raises(RoundError, match="row '3' has 3 sides: back, left, right"):
         rows(store, stop(1), stop(2, side="right"), stop(3, side="back"))
-
-
-def test_pairs_by_hand_are_of_this_row_and_of_people(store: Store) -> None:
-    row = rows(store, stop(1, fruit(1), fruit(2)), stop(2, fruit(1)))["3"]
-    first, second, third = row.fruit_keys
-    links = [
-        LinkRecord(LinkKind.SAME, first, third, by_hand=True),
-        LinkRecord(LinkKind.SAME, second, third, 0.9),
-        LinkRecord(LinkKind.APART, second, third, by_hand=True),
-        LinkRecord(LinkKind.SAME, first, new_key(), by_hand=True),
-    ]
-    by_hand = by_hand_of(row, links)
-    assert (by_hand.same.tolist(), by_hand.apart.tolist()) == ([[0, 2]], [[1, 2]])
-    nothing = by_hand_of(row, links[1:2])
-    assert nothing.same.shape == nothing.apart.shape == (0, 2)
 
 
 def test_a_merged_row_comes_back_as_it_was_saved(store: Store) -> None:

@@ -7,13 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from tests.simulated_rows import SimulatedRow, Walk, simulate_row
 
-from cucumbervision_greenhouse.rounds.merge import (
-    ByHand,
-    cluster_pairs,
-    join_clusters,
-    merge_row,
-    sweep,
-)
+from cucumbervision_greenhouse.rounds.merge import cluster_pairs, join_clusters, merge_row, sweep
 from cucumbervision_greenhouse.rounds.row_views import RowStops, RowViews, best_views, row_fruit
 
 GIVEN = SimulatedRow(per_m=10)
@@ -84,19 +78,6 @@ def test_positions_that_count_the_other_way_are_noticed() -> None:
     assert merge_row(walk.stops, walk.views).mirrored == ()
     turned = replace(walk.views, offset_m=walk.views.offset_m * [-1.0, 1.0, 1.0])
     assert merge_row(walk.stops, turned).mirrored == (0,)
-
-
-def test_what_was_decided_by_hand_stands() -> None:
-    walk = simulate_row(replace(GIVEN, fruit=60), 2)
-    merged = merge_row(walk.stops, walk.views)
-    apart = merged.pairs[:1]
-    sizes = np.bincount(merged.cluster)
-    alone = np.flatnonzero(sizes[merged.cluster] == 1)
-    captures = walk.views.capture[alone]
-    same = alone[[0, int((captures != captures[0]).argmax())]][None]
-    again = merge_row(walk.stops, walk.views, by_hand=ByHand(same=same, apart=apart)).cluster
-    assert again[apart[0, 0]] != again[apart[0, 1]]
-    assert again[same[0, 0]] == again[same[0, 1]]
 
 
 def few_views(captures: list[int]) -> RowViews:

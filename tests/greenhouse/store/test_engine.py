@@ -60,11 +60,6 @@ def test_who_only_reads_makes_no_store(tmp_path: Path) -> None:
     open_store(tmp_path / "hous.db", create=False).close()
 
 
-def test_a_folder_is_no_store(tmp_path: Path) -> None:
-    with pytest.raises(StoreError, match="unable to open database file; check the folder"):
-        open_store(tmp_path)
-
-
 def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("x")
     with pytest.raises(StoreError, match=r"cannot be made .File exists.; name another folder"):
@@ -130,16 +125,6 @@ def test_a_file_that_another_writes_to_just_now_is_waited_for(tmp_path: Path) ->
         with open_store(path) as store:
             assert store.rounds() == []
         end.join()
-
-
-def test_a_file_that_another_never_leaves_is_told(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("cucumbervision_greenhouse.store.engine.BUSY_TIMEOUT_S", 0.1)
-    with closing(sqlite3.connect(tmp_path / "house.db", isolation_level=None)) as other:
-        other.execute("BEGIN IMMEDIATE")
-        with pytest.raises(StoreError, match="is locked; another program is writing"):
-            open_store(tmp_path / "house.db")
 
 
 def test_a_store_that_may_not_be_written_can_be_read() -> None:

@@ -2,7 +2,6 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 from sqlalchemy import inspect, text
@@ -48,32 +47,11 @@ def test_another_programs_tables_are_left_alone(address: str) -> None:
     engine.dispose()
 
 
-def test_what_fails_half_way_leaves_nothing_behind(
-    address: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    # The last table of all cannot be made: all before it must go again.
-    engine = make_engine(database_url(address))
-    with begin(engine, write=True) as connection:
-        connection.execute(text("CREATE TABLE links (name TEXT)"))
-    monkeypatch.setattr("cucumbervision_greenhouse.store.engine._check_free", lambda *_: None)
-    with pytest.raises(StoreError, match="already exists"):
-        open_store(address)
-    with begin(engine) as connection:
-        assert inspect(connection).get_table_names() == ["links"]
-    engine.dispose()
-
-
 def test_several_may_open_a_new_store_at_once(address: str) -> None:
     with ThreadPoolExecutor(4) as pool:
         for store in pool.map(lambda _: open_store(address), range(4)):
             assert store.rounds() == []
             store.close()
-
-
-def test_an_empty_file_becomes_a_store(tmp_path: Path) -> None:
-    (tmp_path / "a.db").touch()
-    with open_store(tmp_path / "a.db") as store:
-        assert store.rounds() == []
 
 
 def test_a_new_field_of_a_record_gets_its_column(address: str) -> None:

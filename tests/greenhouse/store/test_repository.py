@@ -138,11 +138,6 @@ def test_the_address_of_a_file_may_name_the_folder_of_the_pictures(tmp_path: Pat
         open_store(f"{address}&images={tmp_path}/others")
 
 
-def test_pictures_of_a_file_lie_beside_it(tmp_path: Path) -> None:
-    with open_store(tmp_path / "house.db") as store:
-        assert store.images.folder == tmp_path / "house.images"
-
-
 def test_many_threads_lose_nothing(store: Store, make_stop: MakeStop) -> None:
     # Every stop is sent by two threads at once.
     stops = [make_stop(step // 2) for step in range(40)]

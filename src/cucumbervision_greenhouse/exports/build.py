@@ -87,7 +87,7 @@ def round_tables(
     forecast = None
     if profile is not None:
         forecast = forecast_today(store, view, profile, now_s, content, days=days)
-    measured_with = store.artifacts(round_key)
+    measured_with = {stop.key: stop.artifacts for stop in content.stops}
     called = profile_name or (profile.title if profile else view.profile)
     provenance = _provenance(measured_with.values(), profile, called, len(content.stops))
     hashes = {key: _hashes(used) for key, used in measured_with.items()}

@@ -64,11 +64,7 @@ def shared_scale_sd(artifacts: Iterable[Sequence[ArtifactRecord]]) -> float:
     """
     scales_sd = []
     for used in artifacts:
-        scales = [
-            artifact.details.get("depth_scale")
-            for artifact in used
-            if artifact.kind == "calibration"
-        ]
+        scales = [made.details.get("depth_scale") for made in used if made.kind == "calibration"]
         relative_sds = [scale["standard_error"] / scale["value"] for scale in scales if scale]
         scales_sd.append(max(relative_sds, default=SCALE_SD))
     return max(scales_sd, default=SCALE_SD)
@@ -332,7 +328,7 @@ def forecast_today(
         days,
         today=day_0_s(round_summary, now_s) / DAY_S,
         detection=detection_rates(table),
-        scale_sd=shared_scale_sd(store.artifacts(round_summary.key).values()),
+        scale_sd=shared_scale_sd(stop.artifacts for stop in content.stops),
     )
     _count_today(result)
     return result

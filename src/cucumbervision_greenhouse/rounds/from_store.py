@@ -110,18 +110,10 @@ def find_round(store: Store, name: str = "") -> Round:
     """
     rounds = store.rounds()
     name_or_key = name.strip().lower()
-    named = [
-        round_summary
-        for round_summary in rounds
-        if round_summary.name == name or round_summary.key == name_or_key
-    ]
+    named = [walk for walk in rounds if walk.name == name or walk.key == name_or_key]
     # A short number is never the start of a key: it may be a mistyped name.
     is_start = not name_or_key.isdecimal() or len(name_or_key) > 5
-    matches = named or [
-        round_summary
-        for round_summary in rounds
-        if is_start and round_summary.key.startswith(name_or_key)
-    ]
+    matches = named or [x for x in rounds if is_start and x.key.startswith(name_or_key)]
     if not name_or_key:
         matches = rounds[:1]
     if len(matches) == 1:

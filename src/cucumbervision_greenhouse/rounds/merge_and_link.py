@@ -232,9 +232,8 @@ def link_rounds(
         sizes = len(fruit[0]), len(fruit[1]), len(linked.pairs), int(linked.sure.sum())
         row_links.append(RowLinks(row.name, *sizes, shift, sd))
     store.save_growth(earlier, later, links)
-    store.save_growth(
-        later, earlier, ()
-    )  # as they were linked before the captures of that day were added
+    # As they were linked before the captures of that day were added.
+    store.save_growth(later, earlier, ())
     return row_links
 
 

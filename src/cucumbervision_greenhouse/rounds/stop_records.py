@@ -133,7 +133,14 @@ def _capture_record(result: CaptureResult, images: ImageStore | None = None) -> 
     StoreError
         If a picture cannot be written.
     """
-    capture = result.capture
+    capture, pictures = result.capture, dict[str, Any]()
+    if images is not None:
+        pictures = {
+            "color": images.put_color(capture.color),
+            "depth": images.put_depth(capture.depth_m),
+            "thumbnail": images.put_thumbnail(capture.color),
+            "depth_unit_m": DEPTH_UNIT_M,
+        }
     return CaptureRecord(
         **{name: getattr(capture, name) for name in AS_READ},
         width_px=capture.width,
@@ -145,7 +152,7 @@ def _capture_record(result: CaptureResult, images: ImageStore | None = None) -> 
         fruit=tuple(
             fruit_record(capture, number, fruit) for number, fruit in enumerate(result.fruit, 1)
         ),
-        **_pictures(capture, images),
+        **pictures,
     )
 
 
@@ -176,17 +183,6 @@ def stored_capture(images: ImageStore, record: CaptureRecord, stop: StopRecord) 
         doubts=tuple(map(Doubt, record.doubts or ())),
         **{name: getattr(record, name) for name in AS_READ},
     )
-
-
-def _pictures(capture: Capture, images: ImageStore | None) -> dict[str, Any]:
-    if images is None:
-        return {}
-    return {
-        "color": images.put_color(capture.color),
-        "depth": images.put_depth(capture.depth_m),
-        "thumbnail": images.put_thumbnail(capture.color),
-        "depth_unit_m": DEPTH_UNIT_M,
-    }
 
 
 def fruit_record(capture: Capture, number: int, fruit: Fruit) -> FruitRow:

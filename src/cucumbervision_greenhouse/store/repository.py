@@ -65,7 +65,7 @@ ValueT = TypeVar("ValueT")
 _ROUND_CELLS = ("key", "name", "house", "started_s", "profile", "note")
 _STOP_CELLS = (
     *("key", "row", "side", "position_m", "position_sd_m", "step", "taken_s", "pose", "note"),
-    *("failures", "mirrored", "fitted_m", "fitted_sd_m"),
+    *("failures", "artifacts", "mirrored", "fitted_m", "fitted_sd_m"),
 )
 _CAPTURE_CELLS = ("name", "simulated", "color", "depth", "thumbnail")
 _CAPTURE_RECORD = tuple(
@@ -186,7 +186,7 @@ class Store(Marks):
         stop = _checked_stop(stop)
         with self.writing() as connection:
             round_id = round_id_of(connection, stop.round_key, remedy="save the round first")
-            cells = {name: getattr(stop, name) for name in (*_STOP_CELLS, "artifacts")}
+            cells = {name: getattr(stop, name) for name in _STOP_CELLS}
             for name in ("pose", "failures", "artifacts"):
                 cells[name] = record_json(cells[name])
             stop_id = _insert_new(connection, STOPS, {**cells, "round_id": round_id})
@@ -306,26 +306,9 @@ class Store(Marks):
 
     def stops(self, round_key: str) -> list[StopRecord]:
         """Return a round's stops in the order in which they were made, without their fruit."""
-        count = select(func.count(FRUIT.c.id)).join(CAPTURES, CAPTURES.c.id == FRUIT.c.capture_id)
         with self.reading() as connection, self._decoding():
             in_round = STOPS.c.round_id == round_id_of(connection, round_key)
-            query = (
-                select(
-                    STOPS.c.id,
-                    *(STOPS.c[name] for name in _STOP_CELLS),
-                    count.where(CAPTURES.c.stop_id == STOPS.c.id, IS_ACTIVE)
-                    .scalar_subquery()
-                    .label("fruit"),
-                )
-                .where(in_round, ~STOPS.c.deleted)
-                .order_by(STOPS.c.taken_s, STOPS.c.id)
-            )
-            captures = _captures_of(connection, in_round)
-            return [
-                _stop_of(round_key, captures.get(stop_id, ()), dict(zip(names, cells, strict=True)))
-                for names in [(*_STOP_CELLS, "fruit")]
-                for stop_id, *cells in connection.execute(query)
-            ]
+            return _stops_of(connection, and_(in_round, ~STOPS.c.deleted))
 
     def stop(self, key: str) -> StopRecord:
         """Return a stop with all its data: as it was saved, but at its corrected place.
@@ -335,36 +318,11 @@ class Store(Marks):
         StoreError
             If it is not there.
         """
-        columns = [STOPS.c[name] for name in (*_STOP_CELLS, "artifacts")]
-        query = (
-            select(STOPS.c.id, ROUNDS.c.key.label("round_key"), *columns)
-            .join(ROUNDS, ROUNDS.c.id == STOPS.c.round_id)
-            .where(STOPS.c.key == key)
-        )
+        which = STOPS.c.key == key
         with self.reading() as connection, self._decoding():
-            line = connection.execute(query).one_or_none()
-            if line is None:
-                raise StoreError(
-                    "stop {key} is not in the store", remedy="look it up in stops()", key=key
-                )
-            stop_id, round_key, *cells = line
-            names = (*_STOP_CELLS, "artifacts")
-            fruit = _fruit_of(connection, STOPS.c.id == stop_id)
-            captures = _captures_of(connection, STOPS.c.id == stop_id, fruit)
-            values = dict(zip(names, cells, strict=True))
-            values["artifacts"] = tuple(ArtifactRecord(**made) for made in values["artifacts"])
-            values |= {"fitted_m": None, "fitted_sd_m": None}
-            return _stop_of(round_key, captures.get(stop_id, ()), values)
-
-    def artifacts(self, round_key: str) -> dict[str, tuple[ArtifactRecord, ...]]:
-        """Return what the stops of a round were measured with, by the stops' keys."""
-        with self.reading() as connection, self._decoding():
-            in_round = STOPS.c.round_id == round_id_of(connection, round_key)
-            query = select(STOPS.c.key, STOPS.c.artifacts).where(in_round, ~STOPS.c.deleted)
-            return {
-                key: tuple(ArtifactRecord(**made) for made in artifacts)
-                for key, artifacts in connection.execute(query.order_by(STOPS.c.id))
-            }
+            for stop in _stops_of(connection, which, _fruit_of(connection, which)):
+                return replace(stop, fitted_m=None, fitted_sd_m=None, fruit=0)
+        raise StoreError("stop {key} is not in the store", remedy="look it up in stops()", key=key)
 
     def detections(self, round_key: str, *, shapes: bool = False) -> list[FruitRow]:
         """Return a round's fruit in the order of its stops; `shapes` adds mask, keypoints, path."""
@@ -532,15 +490,33 @@ def _storable(value: ValueT) -> ValueT:
     return value
 
 
-def _stop_of(
-    round_key: str, captures: Sequence[CaptureRecord], values: dict[str, Any]
-) -> StopRecord:
-    values["pose"], values["failures"] = tuple(values["pose"]), tuple(values["failures"])
-    return StopRecord(round_key=round_key, captures=tuple(captures), **values)
+def _stops_of(
+    connection: Connection, which: Any, fruit: Mapping[int, list[FruitRow]] | None = None
+) -> list[StopRecord]:
+    """Return stops with their captures, and with fruit where they are given."""
+    count = select(func.count(FRUIT.c.id)).join(CAPTURES, CAPTURES.c.id == FRUIT.c.capture_id)
+    count = count.where(CAPTURES.c.stop_id == STOPS.c.id, IS_ACTIVE)
+    query = (
+        select(
+            *(STOPS.c.id, ROUNDS.c.key.label("round_key"), count.scalar_subquery().label("fruit")),
+            *(STOPS.c[name] for name in _STOP_CELLS),
+        )
+        .join(ROUNDS, ROUNDS.c.id == STOPS.c.round_id)
+        .where(which)
+        .order_by(STOPS.c.taken_s, STOPS.c.id)
+    )
+    captures, stops = _captures_of(connection, which, fruit or {}), []
+    for line in connection.execute(query).mappings():
+        values = {**line, "captures": tuple(captures[line["id"]])}
+        del values["id"]
+        values |= {name: tuple(values[name]) for name in ("pose", "failures")}
+        values["artifacts"] = tuple(ArtifactRecord(**made) for made in values["artifacts"])
+        stops.append(StopRecord(**values))
+    return stops
 
 
 def _captures_of(
-    connection: Connection, which: Any, fruit: Mapping[int, list[FruitRow]] | None = None
+    connection: Connection, which: Any, fruit: Mapping[int, list[FruitRow]]
 ) -> dict[int, list[CaptureRecord]]:
     """Return the captures of stops by the stops' numbers, with fruit where they are given."""
     columns = [CAPTURES.c[name] for name in (*_CAPTURE_CELLS, "record")]
@@ -554,7 +530,7 @@ def _captures_of(
     for stop_id, capture_id, *cells, record in connection.execute(query):
         values = dict(zip(_CAPTURE_CELLS, cells, strict=True)) | record
         lists = {name: values[name] and tuple(values[name]) for name in ("gravity", "doubts")}
-        rows = tuple((fruit or {}).get(capture_id, ()))
+        rows = tuple(fruit.get(capture_id, ()))
         captures[stop_id].append(CaptureRecord(**{**values, **lists, "fruit": rows}))
     return captures
 

@@ -38,14 +38,6 @@ def test_measure_writes_its_files_and_shows_a_table(tmp_path: Path) -> None:
     }
 
 
-def test_some_input_unread_is_exit_code_1(run: Run, tmp_path: Path) -> None:
-    done = run("measure", "nowhere", str(example_captures()), "--out", str(tmp_path))
-    assert done.returncode == 1
-    assert "8 of 8 fruit measured" in done.stdout
-    assert "nowhere: does not exist" in done.stderr
-    assert "Traceback" not in done.stderr
-
-
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [

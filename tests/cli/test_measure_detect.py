@@ -35,10 +35,3 @@ def test_detect_shows_a_summary_and_writes_its_files(
     }
     quiet = run("detect", photos / "a.png", *common, "--quiet", "--runtime", "fast")
     assert (quiet.returncode, quiet.stdout, quiet.stderr) == (0, "", "")
-
-
-def test_what_cannot_start_is_exit_code_2(run: Run, tmp_path: Path) -> None:
-    done = run("detect", tmp_path, "--out", str(tmp_path / "out"))
-    assert done.returncode == 2
-    assert "there are no pictures" in done.stderr
-    assert "Traceback" not in done.stderr

@@ -164,13 +164,6 @@ def test_keypoints_go_to_the_best_one_to_one() -> None:
     assert [o.keypoints[0, 0] for o in out if o.keypoints is not None] == [9, 7]
 
 
-def test_keypoints_below_the_overlap_are_not_given() -> None:
-    # Shifted by 5 of 10: IoU 1/3.
-    (out,) = with_keypoints([fruit_at(0)], [fruit_at(5, 7)])
-    assert out.keypoints is None
-    assert with_keypoints([], [fruit_at(5, 7)]) == ()
-
-
 def test_an_unsure_pose_serves_only_what_no_sure_one_fits() -> None:
     # The unsure poses fit better (IoU 1), but the first fruit has a sure one (9/11).
     unsure = [replace(fruit_at(x, keypoint), confidence=0.1) for x, keypoint in ((0, 3), (30, 4))]

@@ -1,25 +1,9 @@
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 
-from cucumbervision.fruit.mask_codes import decode_rle, fill_polygon
-
-
-def test_compressed_runs_by_hand() -> None:
-    # 1, 2, 3 are '1', '2', '3'; the fourth, 18, is 18 - 2 = 16 = 0b10000: its bit 4 would be read
-    # as a sign, so a second character follows: 16 + 32 + 48 = '`', then '0'. Sum 24 = 6 x 4.
-    assert np.array_equal(decode_rle("123`0", 4, 6), decode_rle([1, 2, 3, 18], 4, 6))
-    # A falling run is negative: 1, 5, 1, 2 has 2 - 5 = -3 = 0b11101 = 29, so 29 + 48 = 'M'.
-    assert np.array_equal(decode_rle("151M", 3, 3), decode_rle([1, 5, 1, 2], 3, 3))
-
-
-@pytest.mark.parametrize(("counts", "fault"), [([1, 2], "fill"), ("1h", "end within"), ("é", "is")])
-def test_broken_runs_are_named(counts: Any, fault: str) -> None:
-    with pytest.raises(ValueError, match=fault):
-        decode_rle(counts, 3, 3)
+from cucumbervision.fruit.mask_codes import fill_polygon
 
 
 def test_polygon_takes_pixels_by_their_centres() -> None:

@@ -115,13 +115,6 @@ def _edges(window: slice) -> tuple[int, int]:
     return window.start, window.stop
 
 
-def test_overlap_of_masks() -> None:
-    left, right = np.zeros((2, 4), bool), np.zeros((2, 4), bool)
-    left[:, :3] = right[:, 1:] = True
-    assert mask_iou(left, right) == 4 / 8
-    assert mask_iou(None, right) == mask_iou(np.zeros((2, 4), bool), ~np.ones((2, 4), bool)) == 0
-
-
 def strips(*spans: tuple[int, int]) -> list[NDArray[np.bool_]]:
     """One row's masks from column to column."""
     columns = np.arange(20)[None]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 from onnx import TensorProto, helper, numpy_helper
-from tests.networks.test_loaded import pose_network, registry_of
+from tests.networks.test_find_loader import pose_network, registry_of
 
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures

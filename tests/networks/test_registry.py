@@ -6,7 +6,7 @@ import pytest
 
 from cucumbervision.errors import ModelError, ModelHashError, UnknownModelError
 from cucumbervision.networks.find import open_segmenter
-from cucumbervision.networks.registry import Registry, file_sha256, load_registry, models_folder
+from cucumbervision.networks.registry import Registry, load_registry, models_folder
 from cucumbervision.networks.runtime import open_network
 
 # SHA-256 of b"abc", from FIPS 180-2, appendix B.1.
@@ -109,19 +109,6 @@ def test_the_variable_moves_the_folder(tmp_path: Path, monkeypatch: pytest.Monke
     assert load_registry().user == tmp_path
     monkeypatch.delenv("CUCUMBERVISION_MODELS")
     assert models_folder().parts[-2:] == ("cucumbervision", "models")
-
-
-def test_export_copies_verified_files(registry: Registry, tmp_path: Path) -> None:
-    (written,) = registry.export("inside", tmp_path / "a" / "b")
-    assert written == tmp_path / "a" / "b" / "inside.onnx"
-    assert file_sha256(written) == ABC
-
-
-def test_export_refuses_damaged_files(registry: Registry, tmp_path: Path) -> None:
-    (tmp_path / "weights" / "inside.onnx").write_bytes(b"")
-    with pytest.raises(ModelHashError):
-        registry.export("inside", tmp_path / "out")
-    assert not (tmp_path / "out").exists()
 
 
 def test_a_segmenter_without_weights_needs_no_files(tmp_path: Path) -> None:

@@ -108,14 +108,6 @@ def test_outputs_outlive_the_next_run(runtime: str) -> None:
     assert first.tolist() == [1.0] * 4
 
 
-@pytest.mark.parametrize("runtime", RUNTIMES)
-def test_reads_a_file(runtime: str, tmp_path: Path) -> None:
-    need(runtime)
-    path = tmp_path / "größe.onnx"
-    path.write_bytes(scaled_sum())
-    assert run(open_network(path, runtime)) == [12.5, 25.0, 37.5]
-
-
 @pytest.mark.parametrize("runtime", ["auto", *RUNTIMES])
 def test_truncated_file_is_named(runtime: str, tmp_path: Path) -> None:
     need(runtime)

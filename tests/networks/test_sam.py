@@ -16,9 +16,8 @@ from cucumbervision.errors import ModelError, UnknownModelError
 from cucumbervision.fruit.instance import Instance, MaskSource
 from cucumbervision.fruit.masks import box_of_mask
 from cucumbervision.networks.find import open_segmenter
-from cucumbervision.networks.registry import load_registry
 from cucumbervision.networks.runtime import Network
-from cucumbervision.networks.sam import PROMPTS, Sam, _mask_fault
+from cucumbervision.networks.sam import PROMPTS, Sam
 
 Mask = NDArray[np.bool_]
 Picture = NDArray[np.uint8]
@@ -159,11 +158,6 @@ def test_runtimes_agree(
     assert iou(instances[0].mask, instances[1].mask) > 0.99
 
 
-def test_auto_takes_openvino_where_it_is() -> None:
-    pytest.importorskip("openvino")
-    assert open_sam().runtime.startswith("openvino")
-
-
 def test_parts_of_a_fruit_are_drawn_without_what_parts_them(segmenter: Sam) -> None:
     line = [(100, 200), (520, 200)]
     picture, truth = drawn(480, 640, line, thick=60), tube(480, 640, line, 60)
@@ -187,10 +181,6 @@ def test_no_pixel_is_of_two_fruit(segmenter: Sam) -> None:
     masks = [one.mask for one in segmenter.segment(picture, fruit) if one.mask is not None]
     assert masks
     assert np.sum(masks, axis=0).max() == 1
-
-
-def test_no_fruit_gives_no_instances(segmenter: Sam) -> None:
-    assert segmenter.segment(np.zeros((48, 64, 3), np.uint8), []) == ()
 
 
 def test_colour_order_counts(segmenter: Sam) -> None:
@@ -283,11 +273,6 @@ def test_an_earlier_mask_and_failure_are_replaced(segmenter: Sam) -> None:
     assert (instance.mask_source, instance.mask_failure) == (MaskSource.SAM, "")
 
 
-def test_files_of_ones_own_are_taken() -> None:
-    own = Sam(load_registry().resolve("mobile-sam"), runtime="onnxruntime")
-    assert own.runtime.startswith("onnxruntime")
-
-
 def test_wrong_names_are_told() -> None:
     with pytest.raises(ModelError, match=r"no prompt is called 'mask'; choose one of box, box\+po"):
         open_segmenter(prompt="mask")
@@ -297,10 +282,3 @@ def test_wrong_names_are_told() -> None:
         open_segmenter("cucumber-seg")
     with pytest.raises(ModelError, match="nowhere"):
         Sam({"encoder": Path("nowhere.onnx"), "decoder": Path("nowhere.onnx")})
-
-
-@pytest.mark.parametrize(("rows", "fault"), [(20, ""), (19, "mask-off-box")])
-def test_a_mask_that_shares_exactly_half_with_its_box_counts(rows: int, fault: str) -> None:
-    mask = np.zeros((60, 60), bool)
-    mask[10 : 10 + rows, 10:40] = True
-    assert _mask_fault(mask, np.array([9.5, 9.5, 39.5, 49.5])) == fault

@@ -71,14 +71,6 @@ def test_end_to_end_segments(runtime: str) -> None:
     assert np.array_equal(fruit.detector_mask, expected)
 
 
-def test_empty_mask_keeps_the_detection() -> None:
-    rows = chosen([8, 20, 40, 30, 0.75, 0, *[1.0] * 32])
-    props = CUCUMBER | {"task": "segment", "end2end": True}
-    detector = YoloDetector(network(rows, np.full((1, 32, 16, 16), -1.0), props=props))
-    (fruit,) = detector.detect(PICTURE)
-    assert fruit.detector_mask is None
-
-
 def test_pose_gives_keypoints_in_the_picture() -> None:
     points = [[8 + 8 * i, 24, 0.1 * i] for i in range(5)]
     rows = chosen([4, 20, 48, 30, 0.9, 0, *np.ravel(points)])
@@ -198,13 +190,6 @@ def test_box_on_the_grey_border_is_left_out() -> None:
     assert YoloDetector(network(rows, props=props)).detect(PICTURE) == ()
 
 
-def test_confidence_is_the_users() -> None:
-    rows = chosen([8, 20, 40, 30, 0.2, 1])
-    graph = network(rows, props=CUCUMBER | {"task": "detect", "end2end": True})
-    assert YoloDetector(graph).detect(PICTURE) == ()
-    assert len(YoloDetector(graph, confidence=0.1).detect(PICTURE)) == 1
-
-
 @pytest.mark.parametrize(
     ("graph", "fault"),
     [
@@ -253,14 +238,3 @@ def test_rows_of_another_detector_are_refused_and_not_read_as_boxes() -> None:
 def test_a_stride_that_is_none_is_refused(stride: object) -> None:
     with pytest.raises(ModelError, match="'stride': "):
         YoloDetector(network(np.zeros((1, 6, 84)), props=CUCUMBER | {"stride": stride}))
-
-
-@pytest.mark.parametrize("runtime", ["onnxruntime", "openvino"])
-@pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_an_output_that_is_not_finite_is_refused(runtime: str, value: float) -> None:
-    pytest.importorskip(runtime)
-    rows = chosen([8, 20, 40, 30, 0.75, 0])
-    rows[0, 7, 2] = value
-    detector = YoloDetector(network(rows, props=CUCUMBER), runtime)
-    with pytest.raises(ModelError, match="numbers that are not finite"):
-        detector.detect(PICTURE)

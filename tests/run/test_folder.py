@@ -3,16 +3,13 @@ from __future__ import annotations
 import subprocess
 import sys
 import uuid
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.files import as_path
-from cucumbervision.run.fields import FIELDS
-from cucumbervision.run.folder import CaptureRecord, OutputFolder
-from cucumbervision.run.measurer import Failure
+from cucumbervision.run.folder import OutputFolder
 
 
 @pytest.fixture(params=["local", "remote"])
@@ -27,18 +24,6 @@ def out(request: pytest.FixtureRequest, tmp_path: Path) -> OutputFolder:
 @pytest.fixture
 def local(tmp_path: Path) -> OutputFolder:
     return OutputFolder(tmp_path / "out")
-
-
-def record(name: str, fruit: int = 1) -> CaptureRecord:
-    cells = {field.name: None for field in FIELDS}
-    rows = [{**cells, "capture": name, "fruit": k, "pose": None} for k in range(1, fruit + 1)]
-    return CaptureRecord(
-        key="cd",
-        capture={"name": name, "fruit": rows},
-        failures=(Failure("house", name, "DepthError", "a: 黄瓜 has no depth"),),
-        models=[{"name": "x"}],
-        picture=None,
-    )
 
 
 def test_a_file_replaces_another_and_leaves_no_other(out: OutputFolder) -> None:
@@ -95,25 +80,3 @@ def test_two_runs_do_not_write_into_one_folder(local: OutputFolder) -> None:
             raise AssertionError
     with local.locked(".lock"):
         pass
-
-
-def test_a_record_comes_back_as_an_earlier_one(out: OutputFolder) -> None:
-    sent = record("黄瓜 [b]", fruit=2)
-    out.save("黄瓜 [b]", sent)
-    assert out.find("黄瓜 [b]") == replace(sent, is_earlier=True)
-    assert [list(row) for row in sent.rows] == [[field.name for field in FIELDS]] * 2
-    assert out.find("another") is None
-
-
-@pytest.mark.parametrize("damage", [b"", b"[]", b"{}", b'{"failures": [7]}', b"\x00\xff{"])
-def test_a_damaged_record_is_none(damage: bytes, out: OutputFolder) -> None:
-    out.save("a", record("a"))
-    out.write("records/a.json", damage)
-    assert out.find("a") is None
-
-
-def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
-    (tmp_path / "out").write_text("no folder")
-    folder = OutputFolder(tmp_path / "out")
-    with pytest.raises(CucumberVisionError, match="out: cannot be"), folder.locked(".lock"):
-        raise AssertionError

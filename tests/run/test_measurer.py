@@ -15,7 +15,6 @@ from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
-from cucumbervision.errors import DiskFullError
 from cucumbervision.methods.result import MethodName
 from cucumbervision.networks.registry import Registry
 from cucumbervision.run.measurer import Boundary, Failure, Measurer, exit_code
@@ -101,25 +100,6 @@ def test_a_recursion_without_end_is_a_defect_with_its_place() -> None:
     assert "RecursionError" in failures[0].message
     assert "test_measurer.py, line" in failures[0].message
     assert "report" in failures[0].message
-
-
-def test_a_full_disk_passes_the_boundary_by_its_name() -> None:
-    failures: list[Failure] = []
-    with pytest.raises(DiskFullError, match="free some space"), Boundary(failures, "house"):
-        raise OSError(errno.ENOSPC, "No space left on device")
-    assert failures == []
-
-
-def test_an_interruption_passes_the_boundary() -> None:
-    with pytest.raises(KeyboardInterrupt), Boundary([], "house"):
-        raise KeyboardInterrupt
-
-
-def test_exit_codes() -> None:
-    bad, defect = (Failure("a", "", error, "") for error in ("CaptureError", "InternalError"))
-    assert [exit_code(*x) for x in ((2, []), (2, [bad]), (0, [bad]), (2, [bad, defect]))] == [
-        0, 1, 2, 70,
-    ]  # fmt: skip
 
 
 def test_warming_up_loads_the_networks_that_find_fruit(own_registry: Registry) -> None:

@@ -17,18 +17,6 @@ def test_methods_are_read_from_text_and_keep_their_own_order() -> None:
     assert MeasureOptions(**given) == MeasureOptions()
 
 
-def test_the_hash_tells_configurations_apart() -> None:
-    assert MeasureOptions().sha256 == MeasureOptions().sha256
-    assert MeasureOptions().sha256 != MeasureOptions(methods=(MethodName.M1,)).sha256
-    assert len(MeasureOptions().sha256) == 64
-
-
-def test_options_are_json(tmp_path: object) -> None:
-    values = MeasureOptions().as_json()
-    assert values["selector"] == "best"
-    assert values["reading"]["burst"] == 5
-
-
 def test_names_are_taken_for_what_they_name() -> None:
     given: dict[str, Any] = {"length": "chord", "selector": "paper", "methods": ("m1", "M5")}
     assert MeasureOptions(**given) == MeasureOptions(

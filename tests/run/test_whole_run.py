@@ -16,11 +16,10 @@ from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.readers.native import write_native
 from cucumbervision.capture.source import CaptureRef, CaptureSource, ReadOptions, example_captures
-from cucumbervision.errors import CucumberVisionError, InstancesError, UnknownModelError
+from cucumbervision.errors import CucumberVisionError, UnknownModelError
 from cucumbervision.files import cell_value
 from cucumbervision.methods.result import MethodName
 from cucumbervision.run.finders import make_finder
-from cucumbervision.run.inputs import count_captures
 from cucumbervision.run.options import MeasureOptions
 from cucumbervision.run.whole_run import BatchOptions, Step, measure_inputs
 
@@ -238,11 +237,6 @@ def test_the_dataset_is_asked_for_masks_that_it_lacks(tmp_path: Path) -> None:
     assert "has no masks" in result.failures[0].message
 
 
-def test_a_run_that_cannot_start_says_why() -> None:
-    with pytest.raises(InstancesError, match=r"nowhere\.json: no such file"):
-        make_finder(MeasureOptions(instances="nowhere.json"))
-
-
 def test_a_segmenter_that_is_not_here_stops_the_run_at_once() -> None:
     with pytest.raises(UnknownModelError, match="choose one of mobile-sam"):
         make_finder(MeasureOptions(segmenter="sam-vit-b"))
@@ -253,20 +247,6 @@ def test_an_output_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
     file.write_text("")
     with pytest.raises(CucumberVisionError, match=r"file/out: cannot be written .*--out"):
         measure_inputs([example_captures()], file / "out", MeasureOptions())
-
-
-def test_captures_are_counted_for_the_progress_bar(tmp_path: Path) -> None:
-    assert count_captures([example_captures(), tmp_path / "missing"], ReadOptions()) == 4
-
-
-def test_sams_masks_lie_on_the_fruit(tmp_path: Path) -> None:
-    finder = make_finder(MeasureOptions(instances="dataset", segmenter="mobile-sam"))
-    for ref in open_source(example_captures()):
-        capture = ref.load()
-        for drawn, true in zip(finder.find(capture).instances, capture.masks, strict=True):
-            assert drawn.mask is not None
-            overlap = np.count_nonzero(drawn.mask & true) / np.count_nonzero(drawn.mask | true)
-            assert overlap > 0.93
 
 
 def test_whatever_is_raised_in_one_capture_the_others_go_on(tmp_path: Path) -> None:

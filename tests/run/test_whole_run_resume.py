@@ -18,7 +18,7 @@ import pytest
 
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import ReadOptions, example_captures
-from cucumbervision.errors import CaptureError, CucumberVisionError
+from cucumbervision.errors import CaptureError
 from cucumbervision.methods.result import MethodName
 from cucumbervision.run.options import MeasureOptions
 from cucumbervision.run.whole_run import BatchOptions, RunResult, Step, measure_inputs
@@ -155,18 +155,6 @@ def test_a_picture_of_another_kind_is_drawn_and_none_is_not_missed(run: Watched)
     assert not list((run.out / "overlays").iterdir())
 
 
-def test_other_options_are_seen(run: Watched) -> None:
-    run()
-    run(replace(OPTIONS, methods=(MethodName.M1, MethodName.M3)))
-    assert tuple(run.measured) == NAMES
-
-
-def test_other_limits_of_the_crop_are_seen(run: Watched) -> None:
-    run()
-    run(replace(OPTIONS, accepted_m=(0.9, 1.0)))
-    assert tuple(run.measured) == NAMES
-
-
 def test_a_changed_file_of_boxes_is_seen(run: Watched) -> None:
     boxes = run.house.parent / f"{NAMES[1]}.txt"
     options = replace(OPTIONS, instances=str(boxes), segmenter="none")
@@ -200,15 +188,6 @@ def test_the_same_path_twice_is_measured_once_and_said(run: Watched) -> None:
         f"{run.house} is given twice: it is measured once",
         f"{inner}: 1 capture was given before, and measured once",
     ]
-
-
-def test_two_runs_into_one_folder_are_refused(run: Watched) -> None:
-    def inside() -> bool:
-        with pytest.raises(CucumberVisionError, match="another run is writing into it"):
-            measure_inputs([run.house], run.out, OPTIONS)
-        return False
-
-    assert run(OPTIONS, BatchOptions(is_cancelled=inside)).exit_code == 0
 
 
 def test_json_is_written_as_one_value_a_line(run: Watched) -> None:

@@ -242,15 +242,6 @@ def test_a_fault_in_searching_is_a_failure_of_its_frame(
     assert (given[1].capture, given[1].error) == ("walk_1", "CaptureError")
 
 
-def test_a_frame_that_fails_does_not_end_the_stream(folder: Path) -> None:
-    (folder / "walk_1" / "depth_000000.png").write_bytes(b"\x89PNG no more")
-    given = list(by_masks().follow(open_stream(folder)))
-    assert [type(one) for one in given] == [StreamedFrame, Failure, StreamedFrame, StreamedFrame]
-    failure = given[1]
-    assert isinstance(failure, Failure)
-    assert "walk_1" in failure.message
-
-
 def test_a_recording_is_streamed(recording: Path) -> None:
     every = [one.item for one in open_stream(recording, every_frame=True)]
     assert [one.frame for one in every if isinstance(one, Capture)] == list(range(1, 23))

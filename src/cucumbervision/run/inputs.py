@@ -238,11 +238,13 @@ def labelled_once(
     """Yield items; a capture whose entry in the file an earlier one has becomes a failure."""
     used = dict[int, str]()
     for item in items:
+        if file is None or isinstance(item, Failure):
+            yield item
+            continue
         entry = None
-        if file is not None and isinstance(item, Listed):
-            with suppress(InstancesError):  # measuring the capture raises the error
-                place = item.ref.location.removesuffix("/capture.json")
-                entry = file.find((item.name, place), item.ref.frame)
+        with suppress(InstancesError):  # measuring the capture raises the error
+            place = item.ref.location.removesuffix("/capture.json")
+            entry = file.find((item.name, place), item.ref.frame)
         if entry is None or used.setdefault(id(entry), item.name) == item.name:
             yield item
             continue

@@ -307,7 +307,7 @@ class _Metrics:
 
     def __init__(self) -> None:
         self.registry = CollectorRegistry()
-        of = {"registry": self.registry}
+        of: dict[str, Any] = {"registry": self.registry}
         name, path = "cucumbervision_{}".format, "path"
         says = "Requests by path and status"
         self.requests = Counter(name("requests"), says, (path, "status"), **of)

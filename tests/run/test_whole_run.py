@@ -19,9 +19,10 @@ from cucumbervision.capture.source import CaptureRef, CaptureSource, ReadOptions
 from cucumbervision.errors import CucumberVisionError, UnknownModelError
 from cucumbervision.files import cell_value
 from cucumbervision.methods.result import MethodName
+from cucumbervision.run.batch import Outcome
 from cucumbervision.run.finders import make_finder
 from cucumbervision.run.options import MeasureOptions
-from cucumbervision.run.whole_run import BatchOptions, Step, measure_inputs
+from cucumbervision.run.whole_run import BatchOptions, CaptureRecord, measure_inputs
 
 ROW_A = "simulated-row-a"
 
@@ -33,7 +34,7 @@ def run_out(tmp_path_factory: pytest.TempPathFactory) -> Path:
     broken = folder / "broken"
     shutil.copytree(example_captures() / "simulated-bench", broken)
     (broken / "depth_000002.png").write_bytes(b"\x89PNG\r\n")
-    seen: list[Step] = []
+    seen: list[Outcome[CaptureRecord]] = []
     result = measure_inputs(
         [broken, example_captures(), folder / "missing"],
         folder / "out",
@@ -41,7 +42,7 @@ def run_out(tmp_path_factory: pytest.TempPathFactory) -> Path:
         seen.append,
     )
     assert [len(one.failures) for one in seen] == [1, 0, 0, 0, 1]
-    assert [len(one.record.rows) for one in seen if one.record is not None] == [3, 3, 2]
+    assert [len(one.value.rows) for one in seen if one.value is not None] == [3, 3, 2]
     assert result.exit_code == 1
     assert result.captures == 3
     assert len(result.rows) == 8

@@ -20,8 +20,9 @@ from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import ReadOptions, example_captures
 from cucumbervision.errors import CaptureError
 from cucumbervision.methods.result import MethodName
+from cucumbervision.run.batch import Outcome
 from cucumbervision.run.options import MeasureOptions
-from cucumbervision.run.whole_run import BatchOptions, RunResult, Step, measure_inputs
+from cucumbervision.run.whole_run import BatchOptions, CaptureRecord, RunResult, measure_inputs
 
 NAMES = ("simulated-bench", "simulated-row-a", "simulated-row-b")
 OPTIONS = MeasureOptions(instances="dataset", methods=(MethodName.M1,))
@@ -46,9 +47,9 @@ class Watched:
         self.measured.clear()
         return measure_inputs(inputs or [self.house], self.out, options, self._note, batch)
 
-    def _note(self, outcome: Step) -> None:
-        if outcome.record is not None and not outcome.record.is_earlier:
-            self.measured.append(outcome.name)
+    def _note(self, outcome: Outcome[CaptureRecord]) -> None:
+        if outcome.value is not None and not outcome.value.is_earlier:
+            self.measured.append(outcome.value.capture["name"])
 
     def tables(self) -> list[bytes]:
         return [(self.out / name).read_bytes() for name in TABLES]

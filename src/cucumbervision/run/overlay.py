@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
     from cucumbervision.capture.intrinsics import Intrinsics
     from cucumbervision.fruit.instance import Instance
-    from cucumbervision.methods.result import Fruit, Measurement
+    from cucumbervision.methods.result import Fruit
 
 # Okabe and Ito's palette, suitable for colour-blind people (RGB).
 COLORS = ((230, 159, 0), (86, 180, 233), (240, 228, 66), (204, 121, 167), (0, 158, 115))
@@ -53,38 +53,21 @@ def draw_overlay(capture: Capture, fruit: Sequence[Fruit]) -> NDArray[np.uint8]:
     size = max(capture.height / 720, 0.5)
     for number, measured in enumerate(fruit, start=1):
         color = COLORS[(number - 1) % len(COLORS)]
-        draw_region(picture, measured, color, size)
-        if measured.selected is not None and measured.selected.path_m is not None:
-            draw_path(picture, measured.selected, capture.intrinsics, color, size)
+        if measured.mask is None:
+            x1, y1, x2, y2 = (round(float(x)) for x in measured.instance.box)
+            thick = max(1, round(2 * size))
+            cv2.rectangle(picture, (x1, y1), (x2, y2), color, thick, cv2.LINE_AA)
+        else:
+            _tint_mask(picture, measured.mask, color, size)
+        points = measured.selected and path_px(measured.selected.path_m, capture.intrinsics)
+        if points is not None:
+            _draw_line(picture, points, color, size)
     for number, measured in enumerate(fruit, start=1):
         _draw_label(picture, _label(number, measured), measured.instance.box, size)
     _draw_scale(picture, capture, fruit, size)
     if capture.simulated:
         draw_text(picture, "simulated capture", (int(12 * size), int(28 * size)), size)
     return picture
-
-
-def draw_region(
-    picture: NDArray[np.uint8], fruit: Fruit, color: tuple[int, int, int], size: float
-) -> None:
-    """Tint a fruit's mask, or draw its box if it has none, in place.
-
-    Parameters
-    ----------
-    picture : ndarray of uint8, shape (H, W, 3)
-        RGB; changed.
-    fruit : Fruit
-        The fruit.
-    color : tuple of int
-        RGB.
-    size : float
-        Scale of the lines; 1 for a picture 720 pixels high.
-    """
-    if fruit.mask is None:
-        x1, y1, x2, y2 = (round(float(x)) for x in fruit.instance.box)
-        cv2.rectangle(picture, (x1, y1), (x2, y2), color, max(1, round(2 * size)), cv2.LINE_AA)
-        return
-    _tint_mask(picture, fruit.mask, color, size)
 
 
 def _tint_mask(
@@ -128,33 +111,6 @@ def path_px(path_m: ArrayLike | None, camera: Intrinsics) -> NDArray[np.float64]
     return None if len(path) < 2 or (path[:, 2] <= 0).any() else camera.project(path)
 
 
-def draw_path(
-    picture: NDArray[np.uint8],
-    chosen: Measurement,
-    camera: Intrinsics,
-    color: tuple[int, int, int],
-    size: float,
-) -> None:
-    """Draw the measured line with its tips, in place.
-
-    Parameters
-    ----------
-    picture : ndarray of uint8, shape (H, W, 3)
-        RGB; changed, unless the measurement has no line in front of the camera.
-    chosen : Measurement
-        The measurement.
-    camera : Intrinsics
-        Intrinsics of the picture.
-    color : tuple of int
-        RGB of the tips.
-    size : float
-        Scale of the lines; 1 for a picture 720 pixels high.
-    """
-    points = path_px(chosen.path_m, camera)
-    if points is not None:
-        draw_line(picture, points, color, size)
-
-
 def draw_polyline(
     picture: NDArray[np.uint8],
     points_px: NDArray[Any],
@@ -168,7 +124,7 @@ def draw_polyline(
     cv2.polylines(picture, [points], closed, color, width_px, cv2.LINE_AA, _SUBPIXEL_BITS)
 
 
-def draw_line(
+def _draw_line(
     picture: NDArray[np.uint8],
     points_px: NDArray[np.float64],
     color: tuple[int, int, int],
@@ -224,15 +180,11 @@ def _draw_scale(
         return
     depth = float(np.median(depths))
     length_px = _BAR_M * capture.intrinsics.fx_px / depth
-    draw_bar(picture, length_px, f"{100 * _BAR_M:.0f} cm at {100 * depth:.0f} cm distance", size)
-
-
-def draw_bar(picture: NDArray[np.uint8], length_px: float, text: str, size: float) -> None:
-    """Draw a scale bar with its text into the lower left corner, in place."""
     left_px, y = round(16 * size), picture.shape[0] - round(20 * size)
     right = left_px + round(length_px)
     for color, thick in ((_BLACK, round(8 * size)), (_WHITE, round(4 * size))):
         cv2.line(picture, (left_px, y), (right, y), color, max(2, thick), cv2.LINE_AA)
+    text = f"{100 * _BAR_M:.0f} cm at {100 * depth:.0f} cm distance"
     draw_text(picture, text, (left_px, y - round(14 * size)), size)
 
 

@@ -18,6 +18,7 @@ from cucumbervision.files import as_path, each_file_read_once, json_value, read_
 from cucumbervision.run.batch import Item, LoopOptions, Outcome, Worker, measure_all
 from cucumbervision.run.folder import CaptureRecord, OutputFolder
 from cucumbervision.run.inputs import (
+    Listed,
     distinct,
     each_once,
     instance_notes,
@@ -45,26 +46,9 @@ if TYPE_CHECKING:
     from cucumbervision.run.options import MeasureOptions
 
 
-@dataclass(frozen=True, eq=False)
-class Step:
-    """A finished capture of a run, or an input that could not be listed.
+_JPEG_QUALITY = 85
 
-    Parameters
-    ----------
-    name : str
-        Name of the capture in the tables; empty if the input failed.
-    record : CaptureRecord, optional
-        The result; None if nothing was measured.
-    failures : tuple of Failure
-        The failures.
-    """
-
-    name: str
-    record: CaptureRecord | None = field(repr=False)
-    failures: tuple[Failure, ...]
-
-
-Report: TypeAlias = Callable[[Step], None]
+Report: TypeAlias = Callable[[Outcome[CaptureRecord]], None]
 Overlays: TypeAlias = Literal["png", "jpg", "none"]
 """Kind of the annotated pictures."""
 
@@ -264,16 +248,12 @@ class FolderWorker(Worker[CaptureRecord]):
         """Write the annotated picture, and return its name in the folder; empty without one."""
         import cv2
 
-        from cucumbervision.run.overlay import as_jpeg, draw_overlay
+        from cucumbervision.run.overlay import draw_overlay
 
         if name := self._picture(result.capture.name):
-            drawn = draw_overlay(result.capture, result.fruit)
-            if self._overlays == "jpg":
-                self._out.write(name, as_jpeg(drawn, result.capture.width))
-            else:
-                self._out.write(
-                    name, cv2.imencode(".png", cv2.cvtColor(drawn, cv2.COLOR_RGB2BGR))[1].tobytes()
-                )
+            drawn = cv2.cvtColor(draw_overlay(result.capture, result.fruit), cv2.COLOR_RGB2BGR)
+            quality = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY] if self._overlays == "jpg" else []
+            self._out.write(name, cv2.imencode(f".{self._overlays}", drawn, quality)[1].tobytes())
         return name
 
     def _picture(self, name: str) -> str:
@@ -325,9 +305,9 @@ def _measured(
     listed = labelled_once(labels, listed)
     worker = FolderWorker(measurer, out, batch.overlays)
     for item, outcome in measure_all(listed, worker, batch.engine, batch.is_cancelled):
-        record, name = outcome.value, "" if isinstance(item, Failure) else item.name
-        if record is None and not outcome.failures:  # the run was cancelled before
-            record = out.find(name)
+        record = outcome.value
+        if isinstance(item, Listed) and record is None and not outcome.failures:  # cancelled before
+            record = out.find(item.name)
             if record is None or not record.key.startswith(measurer.deciding_sha256):
                 result.interrupted = True
                 continue
@@ -338,7 +318,7 @@ def _measured(
             source = str(capture.get("source") or "")
             names.append(((str(capture["name"]), source), capture.get("frame")))
         if report is not None:
-            report(Step(name, record, outcome.failures))
+            report(Outcome(record, outcome.failures))
     if labels is not None:
         with Boundary(result.failures, options.instances):
             result.notes += instance_notes(labels, names)

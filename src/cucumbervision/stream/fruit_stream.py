@@ -37,34 +37,9 @@ if TYPE_CHECKING:
     from cucumbervision.stream.sources import Arrival
 
 _FAST_SIZE_PX = 640
-_FAST_FITS = 1
 _LONGEST_GAP_S = 1.0
 _FEWEST_CORES = 4  # for searching and measuring at once
 _AGAIN_AFTER = 10  # frames before a fruit is measured again from the same place
-
-
-def _fast_options(options: MeasureOptions | None = None) -> MeasureOptions:
-    """Return options for speed: one input size of 640 pixels, one look at each fruit, no SAM.
-
-    Runtime, confidence, calibration and reading are kept.
-
-    Examples
-    --------
-    >>> fast = _fast_options()
-    >>> fast.segmenter, fast.quick, fast.input_sizes, fast.full_precision
-    ('none', True, (640,), False)
-
-    Of the methods M6 runs, with M5 and M3 as fallbacks.
-    """
-    options = options or MeasureOptions()
-    return replace(
-        options,
-        segmenter="none",
-        quick=True,
-        input_sizes=options.input_sizes or (_FAST_SIZE_PX,),
-        full_precision=False,
-        methods=(MethodName.M3, MethodName.M5, MethodName.M6),
-    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,8 +222,20 @@ class FruitStream:
 
     @classmethod
     def fast(cls, options: MeasureOptions | None = None) -> FruitStream:
-        """Return a fast stream: half precision, no SAM, one fruit measured per frame."""
-        return cls(Measurer(_fast_options(options)), fits=_FAST_FITS)
+        """Return a fast stream: half precision, no SAM, one fruit measured per frame.
+
+        Runtime, confidence, calibration and reading are those of the options.
+        """
+        options = options or MeasureOptions()
+        fast = replace(
+            options,
+            segmenter="none",
+            quick=True,
+            input_sizes=options.input_sizes or (_FAST_SIZE_PX,),
+            full_precision=False,
+            methods=(MethodName.M3, MethodName.M5, MethodName.M6),  # fallbacks of M6
+        )
+        return cls(Measurer(fast), fits=1)
 
     def follow(
         self, arrivals: Iterable[Arrival[Capture | Failure]]

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import csv
 from dataclasses import dataclass
 from enum import StrEnum
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cucumbervision.errors import Message
@@ -74,205 +76,42 @@ class Effect(StrEnum):
 
 @dataclass(frozen=True)
 class FlagMeaning:
-    """One line of the table of flags.
+    """One line of `flags.csv`.
 
     Parameters
     ----------
     meaning : str
         Description in the documentation.
-    remark : str
-        Remark beside a fruit; empty if the length does not depend on the flag.
     effect : Effect
         Effect on the length.
     shows_less : bool
         Whether a view with it shows its fruit less well than one without.
+    remark : str
+        Remark beside a fruit; empty if the length does not depend on the flag.
     data_fault, remedy : str
         Doubt about the data and its remedy, reported once per run if fruit have the flag. Empty if
         the data are not the cause.
     """
 
     meaning: str
-    remark: str = ""
-    effect: Effect = Effect.NONE
-    shows_less: bool = False
-    data_fault: str = ""
-    remedy: str = ""
+    effect: Effect
+    shows_less: bool
+    remark: str
+    data_fault: str
+    remedy: str
 
 
-FLAGS: Mapping[Flag, FlagMeaning] = {
-    Flag.CUT_BY_FRAME: FlagMeaning(
-        "the fruit reaches the picture's edge: it is longer than measured",
-        remark="cut by the picture's edge",
-        effect=Effect.LOWER_BOUND,
-        shows_less=True,
-    ),
-    Flag.BOX_CLIPPED: FlagMeaning(
-        "the box reached beyond the picture and was clipped",
-        remark="cut by the picture's edge",
-        effect=Effect.LOWER_BOUND,
-        shows_less=True,
-    ),
-    Flag.END_HIDDEN: FlagMeaning(
-        "an end is not visible: the length is a lower bound",
-        remark="an end is hidden",
-        effect=Effect.LOWER_BOUND,
-        shows_less=True,
-    ),
-    Flag.ENDS_DISAGREE: FlagMeaning(
-        "mask and keypoints disagree about an end by over 10 % of the length",
-        remark="its ends were found at two places",
-    ),
-    Flag.ENDS_UNSURE: FlagMeaning(
-        "which end is the stem's is less than 90 % certain; the length is the same either way"
-    ),
-    **{
-        flag: FlagMeaning(
-            f"the {place} end may go on behind what covers it",
-            remark=f"the {place} end may go on behind what covers it",
-        )
-        for place, flag in DOUBTFUL_END.items()
-    },
-    Flag.END_ON: FlagMeaning(
-        "an end points along the view, or lies behind the fruit's own thick middle",
-        remark="seen end on",
-        shows_less=True,
-    ),
-    Flag.PART_HIDDEN: FlagMeaning(
-        "something nearer hides a part, which was bridged", remark="partly hidden", shows_less=True
-    ),
-    Flag.POOR_FIT: FlagMeaning(
-        "the tube fits the mask or the outline badly, as where one outline holds two fruit",
-        remark="its shape is not that of one fruit",
-        shows_less=True,
-    ),
-    Flag.UNCERTAIN: FlagMeaning(
-        "the fit's standard deviation is above 5 % of the length",
-        remark="the length is uncertain",
-        shows_less=True,
-    ),
-    Flag.INTERVAL_TOO_WIDE: FlagMeaning(
-        "the interval would span more than a factor of four: none is given",
-        remark="the length is uncertain",
-        shows_less=True,
-    ),
-    Flag.DETECTOR_MASK: FlagMeaning(
-        "the detector's mask was measured because there was no better one", shows_less=True
-    ),
-    Flag.SAM_MASK_EMPTY: FlagMeaning("the mask that was drawn was rejected: it is empty"),
-    Flag.SAM_MASK_SMALL: FlagMeaning("the mask that was drawn was rejected: under 100 px"),
-    Flag.SAM_MASK_OFF_BOX: FlagMeaning("the mask that was drawn was rejected: it is off the box"),
-    Flag.SAM_MASK_OFF_DETECTOR: FlagMeaning(
-        "the mask that was drawn was rejected: it is unlike the detector's"
-    ),
-    Flag.NOT_COVERED: FlagMeaning(
-        "the site's calibration does not cover this method: not corrected",
-        remark="the site's calibration does not cover it",
-    ),
-    Flag.OTHER_MASK: FlagMeaning(
-        "the site's calibration was made with another kind of mask: not corrected",
-        remark="the site's calibration was made with other outlines",
-    ),
-    Flag.OUTSIDE_RANGE: FlagMeaning(
-        "longer or shorter than the fruit used for the calibration",
-        remark="longer or shorter than the site's calibration",
-    ),
-    Flag.DEPTH_UNIT: FlagMeaning(
-        "too long or too thick for the crop, or half of the picture's fruit are: check "
-        "`--depth-unit` and `--profile`",
-        remark="too large: check the depth's unit",
-    ),
-    Flag.DEPTH_TOO_NEAR: FlagMeaning(
-        "nearer than 12 cm, where no camera reads: check the depth's unit; no lower bound",
-        remark="nearer than a camera reads: check the depth's unit",
-        effect=Effect.NO_DEPTH,
-        data_fault="nearer than 12 cm, where no camera reads",
-        remedy="check the unit of depth (--depth-unit 0.001 is 1 mm a step)",
-    ),
-    Flag.DEPTH_SPARSE: FlagMeaning(
-        "less than half of the fruit has depth, as where it is nearer than the camera reads: no "
-        "interval, no lower bound",
-        remark="hardly any depth on it: hold the camera farther away",
-        effect=Effect.NO_DEPTH,
-        shows_less=True,
-        data_fault="less than half of their pixels have depth",
-        remedy="hold the camera at least 30 cm away",
-    ),
-    Flag.DEPTH_HOLLOW: FlagMeaning(
-        "its middle is farther away than its sides, and its surroundings are nearer: inverse or "
-        "relative depth",
-        remark="hollow by its depth: check what the depth picture holds",
-        effect=Effect.NO_DEPTH,
-        data_fault="the depth of their middle lies behind that of their flanks",
-        remedy="check that the depth picture holds distances, and not their inverse or relative "
-        "depth",
-    ),
-    Flag.DEPTH_GAP: FlagMeaning(
-        "its outline has pieces or a waist, with something clearly farther away between: give "
-        "each fruit an outline of its own",
-        remark="an outline of several things with a gap between them",
-        effect=Effect.NO_DEPTH,
-        data_fault="their outline has pieces with a gap between them that lies behind",
-        remedy="give each fruit an outline of its own",
-    ),
-    Flag.DEPTH_UNALIGNED: FlagMeaning(
-        "its outline lies partly on what is far behind, fits far better elsewhere, or nothing "
-        "stands out: check that depth is aligned",
-        remark="outline and depth do not lie together: check that depth is aligned",
-        effect=Effect.NO_DEPTH,
-        data_fault="outline and depth do not lie together",
-        remedy="check that depth is aligned to colour, and masks are of this picture",
-    ),
-    Flag.DEPTH_COARSE: FlagMeaning(
-        "depth of one value, in steps of over 1.2 % of the distance, or in whole millimetres up "
-        "to 255, as in an 8-bit picture",
-        remark="depth in coarse steps: check what the depth picture holds",
-        effect=Effect.NO_DEPTH,
-        data_fault="their depth has coarse steps, as in a picture of 8 bits or in whole "
-        "centimetres",
-        remedy="give depth as the camera recorded it, with 16 bits in millimetres or finer",
-    ),
-    Flag.DEPTH_ALONG_RAY: FlagMeaning(
-        "depth seems to be the distance along each pixel's ray, as simulators write it",
-        remark="depth may be measured along the pixels' rays",
-        effect=Effect.NO_DEPTH,
-        data_fault="what is behind them is a plane only if depth is the distance along each "
-        "pixel's ray",
-        remedy="read such depth with --depth-along ray",
-    ),
-    Flag.OUTLINE_SHORT: FlagMeaning(
-        "the fruit's surface goes on beyond its outline: a lower bound without an interval",
-        remark="its outline ends too early",
-        effect=Effect.LOWER_BOUND,
-        shows_less=True,
-    ),
-    Flag.OUTLINE_STEM: FlagMeaning(
-        "an end of its outline is as narrow as a stem: no interval",
-        remark="its outline takes in the stem",
-        effect=Effect.NO_DEPTH,
-        data_fault="an end of their outline is as narrow as a stem",
-        remedy="draw outlines from the stem's attachment to the blossom's end",
-    ),
-    Flag.PRINCIPAL_POINT: FlagMeaning(
-        "the intrinsics' principal point is off the middle of the picture: wrong size, or cut "
-        "out of a larger picture?",
-        remark="check the camera's intrinsics",
-        data_fault="the intrinsics' principal point lies off the middle of the picture",
-        remedy="check that they are of this size of picture",
-    ),
-    Flag.DEPTH_RESAMPLED: FlagMeaning(
-        "depth has fewer pixels than colour: ends are known less well",
-        remark="depth is coarser than colour",
-        data_fault="depth has fewer pixels than colour and was enlarged",
-        remedy="record depth aligned to colour at its size",
-    ),
-    Flag.PLUGIN_FAILED: FlagMeaning(
-        "a method or trait of another package failed: `failures.csv` says which, and why"
-    ),
-    Flag.DOUBTFUL: FlagMeaning(
-        "added by hand, but does not look like a fruit: not on the pick list until accepted",
-        remark="added by hand, and may be no fruit",
-    ),
-}
+def _read_flags() -> dict[Flag, FlagMeaning]:
+    text = Path(__file__).with_name("flags.csv").read_text(encoding="utf-8")
+    flags = {}
+    for line in csv.DictReader(text.splitlines()):
+        code, effect, shows_less = (line.pop(name) for name in ("code", "effect", "shows_less"))
+        effects = Effect(effect or "none"), bool(shows_less)
+        flags[Flag(code)] = FlagMeaning(line.pop("meaning"), *effects, **line)
+    return flags
+
+
+FLAGS: Mapping[Flag, FlagMeaning] = _read_flags()
 """All flags, in the order of the documentation."""
 
 

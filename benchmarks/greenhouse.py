@@ -35,7 +35,7 @@ from cucumbervision.networks.confidence import DEFAULT_CONFIDENCE, parse_input_s
 from cucumbervision.run.inputs import read_captures
 from cucumbervision.run.measurer import Failure, Measurer
 from cucumbervision.run.options import MeasureOptions
-from cucumbervision.tube.curve import points_along, polyline_length
+from cucumbervision.tube.shape import points_along, polyline_length
 from cucumbervision_lab.evaluate.outcomes import match_boxes
 
 if TYPE_CHECKING:

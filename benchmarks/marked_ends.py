@@ -33,7 +33,7 @@ from cucumbervision.networks.looks import EndLooker
 from cucumbervision.networks.registry import load_registry
 from cucumbervision.run.measurer import Measurer
 from cucumbervision.run.options import MeasureOptions
-from cucumbervision.tube.curve import arc_positions, points_along
+from cucumbervision.tube.shape import arc_positions, points_along
 from cucumbervision_lab.train.end_look import area_under_curve
 
 if TYPE_CHECKING:

@@ -48,7 +48,7 @@ from cucumbervision.networks.confidence import parse_input_sizes
 from cucumbervision.run.inputs import read_captures
 from cucumbervision.run.measurer import Failure, Measurer
 from cucumbervision.run.options import MeasureOptions
-from cucumbervision.tube.curve import polyline_length
+from cucumbervision.tube.shape import polyline_length
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -10,7 +10,7 @@ from typing import Annotated, Literal, get_args
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
-from cucumbervision.capture.realsense_device import CameraSettings
+from cucumbervision.capture.realsense import CameraSettings
 from cucumbervision.capture.source import ReadOptions
 from cucumbervision.crop.profiles import load_profile
 from cucumbervision.errors import CucumberVisionError, wrap_os_errors

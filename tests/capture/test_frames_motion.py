@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from cucumbervision.capture.camera import depth_quality
 from cucumbervision.capture.frames import Capture, FusedBurst, fuse_burst, moved_px
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.readers.native import write_native
-from cucumbervision.capture.recorder import depth_quality
 from cucumbervision.fruit.instance import Instance
 from cucumbervision.fruit.masks import box_of_mask
 from cucumbervision.methods.selector import measure_fruit

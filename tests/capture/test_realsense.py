@@ -17,8 +17,13 @@ import pytest
 from cucumbervision.capture.frames import Stop
 from cucumbervision.capture.intrinsics import Stream
 from cucumbervision.capture.readers import ReadOptions, open_source
-from cucumbervision.capture.realsense import AlignedStream, CameraConfig, RealSenseCamera, play_file
-from cucumbervision.capture.realsense_device import camera_fault
+from cucumbervision.capture.realsense import (
+    AlignedStream,
+    CameraConfig,
+    RealSenseCamera,
+    camera_fault,
+    play_file,
+)
 from cucumbervision.errors import CameraError, CaptureError, IntrinsicsError, MissingExtraError
 from cucumbervision.tube.camera import Distortion, align_depth_to_color
 

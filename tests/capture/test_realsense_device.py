@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from cucumbervision.capture.realsense_device import CameraSettings, apply_settings, list_cameras
+from cucumbervision.capture.realsense import CameraSettings, apply_settings, list_cameras
 from cucumbervision.errors import CameraError
 
 rs = pytest.importorskip("pyrealsense2", exc_type=ImportError)

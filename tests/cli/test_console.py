@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-from cucumbervision.accuracy.table import ReportTable
+from cucumbervision.accuracy.statistics import ReportTable
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.readers.native import write_native
 from cucumbervision.capture.source import example_captures

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from cucumbervision.capture.camera import DepthQuality, Recorded
 from cucumbervision.capture.readers import open_source
-from cucumbervision.capture.recorder import DepthQuality, Recorded
 from cucumbervision.capture.source import example_captures
 from cucumbervision.cli.live import clock, enter_keys, print_recording, print_stream
 from cucumbervision.errors import CameraError

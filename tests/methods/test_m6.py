@@ -20,8 +20,7 @@ from cucumbervision.methods.result import LengthKind, Measurement, Reason, TubeF
 from cucumbervision.methods.traits import TubeLengths
 from cucumbervision.tube import compiled as tube_kernel
 from cucumbervision.tube.evidence import Evidence
-from cucumbervision.tube.fit import TubeFitting, fit_shape
-from cucumbervision.tube.guess import guess_shape
+from cucumbervision.tube.fit import TubeFitting, fit_shape, guess_shape
 from cucumbervision.tube.shape import TubeShape
 from cucumbervision_lab.scenes.bodies import Tube, arc_tube, bent_tube, rotation
 from cucumbervision_lab.scenes.depth_camera import D4xx, sense

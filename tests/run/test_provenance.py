@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from cucumbervision.capture.conventions import DepthAlong, Stream
+from cucumbervision.capture.intrinsics import DepthAlong, Stream
 from cucumbervision.capture.source import ReadOptions
 from cucumbervision.crop.profiles import load_profile
 from cucumbervision.errors import CucumberVisionError

@@ -34,10 +34,10 @@ from cucumbervision.tube.fit import (
     add_shape_prior,
     end_hold,
     fit_shape,
+    guess_shape,
     solve_held,
     stepped,
 )
-from cucumbervision.tube.guess import guess_shape
 from cucumbervision.tube.pixels import median_of
 from cucumbervision.tube.shape import TubeShape
 

@@ -5,8 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from cucumbervision.tube.evidence import Evidence
-from cucumbervision.tube.fit import fit_shape, stepped
-from cucumbervision.tube.guess import guess_shape, near_depths
+from cucumbervision.tube.fit import fit_shape, guess_shape, near_depths, stepped
 from cucumbervision.tube.shape import TubeShape, shape_from_curve
 
 FAR, RADIUS, LONG = 0.5, 0.02, 0.16  # a body across the view, its end centres LONG apart

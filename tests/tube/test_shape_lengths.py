@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cucumbervision.tube.curve import arc_positions
 from cucumbervision.tube.shape import (
+    arc_positions,
     axis_path,
     bending_direction,
     inner_arc_height,

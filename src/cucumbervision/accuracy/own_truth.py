@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cucumbervision.accuracy.statistics import Metrics, estimate, percent_errors, score
-from cucumbervision.accuracy.table import ReportTable
+from cucumbervision.accuracy.statistics import Metrics, ReportTable, estimate, percent_errors, score
 from cucumbervision.accuracy.truth import (
     MISSED,
     Floor,

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, cast
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from cucumbervision.capture.conventions import DepthAlong
-from cucumbervision.capture.intrinsics import Intrinsics, Stream, pinhole_of_matrix
+from cucumbervision.capture.intrinsics import DepthAlong, Intrinsics, Stream, pinhole_of_matrix
 from cucumbervision.capture.pictures import read_array
 from cucumbervision.errors import CaptureError, IntrinsicsError, as_errors_of, wrap_reader_errors
 from cucumbervision.files import parse_model, read_json, read_text

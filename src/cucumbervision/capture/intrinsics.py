@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cucumbervision.capture.conventions import Stream as Stream
 from cucumbervision.errors import IntrinsicsError
 from cucumbervision.tube.camera import Distortion as Distortion
 from cucumbervision.tube.camera import distort, scale_error, undistort
@@ -30,6 +30,20 @@ _WIDEST_TANGENT = 20.0  # maximum tangent of a pixel's viewing angle
 # `_SAME_FACTOR`, belongs to a picture of another size; within `_CENTRED` of 1 cameras vary.
 _SAME_FACTOR, _CENTRED = 0.06, 0.09
 _OFF_CENTRE = 0.06  # share of the picture's size
+
+
+class Stream(StrEnum):
+    """The stream that a set of intrinsics was calibrated for."""
+
+    COLOR = "color"
+    DEPTH = "depth"
+
+
+class DepthAlong(StrEnum):
+    """Direction in which the values of a depth picture are measured."""
+
+    AXIS = "axis"
+    RAY = "ray"
 
 
 @dataclass(frozen=True)
@@ -351,3 +365,7 @@ def _wrong_by(camera: Intrinsics, right_px: float | None, qualifier: str = "") -
         f" (fx {right_px:.1f} px): lengths would come out {qualifier}{percent:+.0f} % wrong "
         "(f_right/f_wrong - 1)"
     )
+
+
+MASKS = "mask_visib"
+"""Folder of a data set's masks, beside the pictures of a capture or of a BOP scene."""

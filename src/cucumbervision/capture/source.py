@@ -17,9 +17,8 @@ if TYPE_CHECKING:
     from typing import TypeAlias
 
     from cucumbervision.capture.camera_file import CameraFile
-    from cucumbervision.capture.conventions import DepthAlong
     from cucumbervision.capture.frames import Capture
-    from cucumbervision.capture.intrinsics import Stream
+    from cucumbervision.capture.intrinsics import DepthAlong, Stream
     from cucumbervision.errors import CaptureError
 
     CaptureEntry: TypeAlias = tuple[

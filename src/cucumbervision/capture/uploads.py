@@ -9,12 +9,11 @@ import stat
 import unicodedata
 import uuid
 import zipfile
-from collections.abc import Callable
-from contextlib import nullcontext
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, BinaryIO
+from typing import IO, TYPE_CHECKING, BinaryIO
 
 from cucumbervision.capture.pictures import COLOR_SUFFIXES, DEPTH_SUFFIXES
 from cucumbervision.capture.readers import (
@@ -34,7 +33,7 @@ from cucumbervision.errors import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from cucumbervision.capture.frames import Capture
 
@@ -46,9 +45,8 @@ _TEXTS = frozenset({".json", ".txt", ".yaml", ".yml", ".xml"})
 _PICTURES = (COLOR_SUFFIXES | DEPTH_SUFFIXES) - {".csv"}
 _REMEDY = "pack capture folders, BOP scenes, or colour and depth pictures with matching names"
 _SMALLER, _PACK_AGAIN = "send it in smaller parts", "pack the captures' folder again"
-_LONGEST_NAME, _DEEPEST_FOLDER = 120, 32
+_MOST_BYTES = 240  # of a file's name
 _FORBIDDEN = re.compile(r'[<>:"|?*]')  # in names on Windows; a part after ':' would be hidden
-_CLUTTER = frozenset({".ds_store", "thumbs.db", "desktop.ini"})
 _ENTRY_BYTES = 600  # maximum size of a zip's directory entry, with name and extra fields
 _PLAIN = frozenset({zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED})
 _GB = 1_000_000_000
@@ -68,10 +66,6 @@ class Limits:
         Maximum number of files in all zips of an upload.
     unpacked_bytes : int
         Maximum unpacked size of all zips.
-    ratio : float
-        Maximum compression ratio of members larger than `ratio_from_bytes`; Deflate reaches 1032.
-    ratio_from_bytes : int
-        Size above which `ratio` applies.
     text_bytes : int
         Maximum size of a JSON, YAML, XML or text file.
     """
@@ -81,8 +75,6 @@ class Limits:
     total_bytes: int = 4 * _GB
     members: int = 5000
     unpacked_bytes: int = 8 * _GB
-    ratio: float = 200.0
-    ratio_from_bytes: int = 4_000_000
     text_bytes: int = 2_000_000
 
 
@@ -95,8 +87,8 @@ def clean_name(text: str) -> str:
     'passwd.png'
     >>> clean_name("docs/con"), clean_name("row: 3?.png. ")
     ('_con', 'row_ 3_.png')
-    >>> clean_name("a" * 200 + ".png")[-7:], len(clean_name("a" * 200))
-    ('aa….png', 120)
+    >>> clean_name("a" * 300 + ".png")[-7:], len(clean_name("a" * 300))
+    ('aaa.png', 240)
     """
     last = text.replace("\\", "/").rstrip("/").rsplit("/", 1)[-1]
     plain = unicodedata.normalize("NFC", last.encode("utf-8", "replace").decode())
@@ -105,10 +97,7 @@ def clean_name(text: str) -> str:
         c for c in plain if not unicodedata.category(c).startswith(("C", "Zl", "Zp"))
     )
     printable = no_device(" ".join(_FORBIDDEN.sub("_", printable).split()).rstrip(". "))
-    if len(printable) > _LONGEST_NAME or len(printable.encode()) > 2 * _LONGEST_NAME:
-        suffix = PurePosixPath(printable).suffix[-8:]
-        start = printable[: _LONGEST_NAME - 1 - len(suffix)].encode()[: 2 * _LONGEST_NAME - 35]
-        printable = f"{start.decode(errors='ignore')}…{suffix}"
+    printable = printable.encode()[-_MOST_BYTES:].decode(errors="ignore")
     return printable if printable.strip(". ") else "unnamed"
 
 
@@ -140,10 +129,8 @@ class AcceptedSource:
         CucumberVisionError
             See `open_source`.
         """
-        try:
+        with self._sender_names():
             source = open_source(self.path, options)
-        except CucumberVisionError as error:
-            raise error.at(self.sender_name(error.source)) from None
         return replace(source, refs=lambda: self._refs(source))
 
     def _refs(self, source: CaptureSource) -> Iterator[CaptureRef]:
@@ -152,11 +139,16 @@ class AcceptedSource:
             yield replace(ref, load=partial(self._load, ref.load), location=location)
 
     def _load(self, load: Callable[[], Capture]) -> Capture:
-        try:
+        with self._sender_names():
             capture = load()
+        return replace(capture, source=self.sender_name(capture.source))
+
+    @contextmanager
+    def _sender_names(self) -> Iterator[None]:
+        try:
+            yield
         except CucumberVisionError as error:
             raise error.at(self.sender_name(error.source)) from None
-        return replace(capture, source=self.sender_name(capture.source))
 
     def sender_name(self, path: object) -> str:
         """Return the sender's name of a file."""
@@ -164,9 +156,8 @@ class AcceptedSource:
         if not text.startswith(str(self.path)):
             return text or self.title
         inside = text.removeprefix(str(self.path)).lstrip("/ ")
-        if self.title == LOOSE and inside:
-            return inside
-        return f"{self.title}: {inside}" if inside else self.title
+        title = "" if self.title == LOOSE and inside else self.title
+        return ": ".join(filter(None, (title, inside)))
 
 
 @dataclass(frozen=True)
@@ -268,11 +259,13 @@ class _Intake:
             if isinstance(content, Path) and not content.is_file():
                 raise UploadError("is not a readable file", source=title, remedy="check the path")
             with content.open("rb") if isinstance(content, Path) else nullcontext(content) as file:
-                self._copy(file, arrived, title)
+                for size in self._copied(file, arrived, title):
+                    self._bytes_left -= size
+                    if self._bytes_left < 0:
+                        raise _too_large(title, self.limits.total_bytes)
             if _is_zip(arrived, title):
                 self._unpack(arrived, self.out.folder / f"{number:04d}", title)
                 return
-            self._check_text(arrived, title)
             if not arrived.stat().st_size:
                 raise UploadError("the file is empty", source=title, remedy="copy it again")
             with wrap_os_errors("cannot be kept", title, "rename it", UploadError):
@@ -287,31 +280,23 @@ class _Intake:
     def sort(self, path: Path, title: str) -> None:
         """Find the captures of a folder, and report the files that belong to none."""
         folder, source = list_folder(path), AcceptedSource(path, title)
-        kinds, everything = folder.kinds(), {*folder}
-        is_used, refused = bool(find_captures(folder)), len(self.out.refused)
-        if is_used:
+        kinds, everything, refused = folder.kinds(), {*folder}, len(self.out.refused)
+        if is_used := bool(find_captures(folder)):
             self.out.sources.append(source)
         unread = sorted(folder)
         used = {PurePosixPath(name).parent for name in everything.difference(unread)}
         for name in map(PurePosixPath, unread):
             suffix, shown_name = name.suffix.lower(), source.sender_name(path / name)
             # A picture beside captures of a zip may be anything; one without them lacks a partner.
-            is_beside = title != LOOSE and not (
-                suffix in _PICTURES and used.isdisjoint(name.parents)
-            )
-            if suffix in RECORDING_SUFFIXES or not (suffix in _TEXTS | {".csv"} or is_beside):
+            is_lone = suffix in _PICTURES and used.isdisjoint(name.parents)
+            is_unknown = title == LOOSE and suffix not in _TEXTS | {".csv"}
+            if suffix in RECORDING_SUFFIXES or is_lone or is_unknown:
                 self.out.refused.append(_left_alone(shown_name, suffix))
             else:
                 self.out.ignored.append(shown_name)
         if title != LOOSE and not is_used and refused == len(self.out.refused):
             fault = "holds no captures that can be recognised, but {kinds}"
             raise UploadError(fault, source=title, remedy=_REMEDY, kinds=kinds)
-
-    def _check_text(self, path: Path, title: str) -> None:
-        is_text = PurePosixPath(title).suffix.lower() in _TEXTS
-        if is_text and path.stat().st_size > self.limits.text_bytes:
-            fault, size = "has more than {size:g} MB of text", self.limits.text_bytes / 1e6
-            raise UploadError(fault, source=title, remedy="send a smaller file", size=size)
 
     def _loose_path(self, name: str) -> Path:
         parts = [part for part in name.replace("\\", "/").split("/") if part.strip(". ")]
@@ -322,108 +307,68 @@ class _Intake:
         path.parent.mkdir(parents=True, exist_ok=True)
         return path
 
-    def _copy(self, content: BinaryIO, target: Path, title: str) -> None:
-        size = 0
-        with target.open("xb") as stream:
+    def _copied(self, content: IO[bytes], target: Path, title: str) -> Iterator[int]:
+        """Write a file in pieces, and yield their sizes; those that are stated may be false."""
+        is_text = PurePosixPath(title).suffix.lower() in _TEXTS
+        most_bytes = self.limits.text_bytes if is_text else self.limits.file_bytes
+        remedy = "make room on the disk, or shorten the name"
+        with wrap_os_errors("cannot be kept", title, remedy, UploadError):
+            target.parent.mkdir(parents=True, exist_ok=True)
+            stream = target.open("xb")
+        with stream:
             while chunk := content.read(_CHUNK):
-                size += len(chunk)
-                self._bytes_left -= len(chunk)
-                if size > self.limits.file_bytes or self._bytes_left < 0:
-                    most_mb = min(self.limits.file_bytes, self.limits.total_bytes) / 1e6
-                    fault = "is more than the {size:g} MB that are taken"
-                    raise UploadError(fault, source=title, remedy=_SMALLER, size=most_mb)
-                _write(stream, chunk, title)
+                yield len(chunk)
+                with wrap_os_errors("cannot be kept", title, remedy, UploadError):
+                    stream.write(chunk)
+                if stream.tell() > most_bytes:
+                    raise _too_large(title, most_bytes)
 
     def _unpack(self, path: Path, folder: Path, title: str) -> None:
         """Unpack a zip; an incomplete zip is rejected completely."""
         try:
-            for name, file in self._members(path, folder, title):
-                file_title = f"{title}: {name}"
-                try:
-                    self._check_text(file, file_title)
-                    if _is_zip(file, name):
-                        fault = "is a zip in a zip"
-                        raise UploadError(fault, source=file_title, remedy="unpack it first")
-                except CucumberVisionError as error:
-                    self.out.refused.append(error)
-                    file.unlink()
+            folder.mkdir(parents=True)
+            most_bytes = max(self.limits.members * _ENTRY_BYTES, 2 * _CHUNK)
+            with (
+                wrap_reader_errors(title, UploadError, "pack or copy it again"),
+                _Bounded(path, most_bytes) as stream,
+                zipfile.ZipFile(stream) as archive,
+            ):
+                for member, name in self._members(archive, title):
+                    with archive.open(member) as packed:
+                        for size in self._copied(packed, folder / name, f"{title}: {name}"):
+                            self._unpacked_left -= size
+                            if self._unpacked_left < 0:
+                                raise _too_large(title, self.limits.unpacked_bytes)
+            self.sort(folder, title)
         except BaseException:
             shutil.rmtree(folder, ignore_errors=True)
             raise
-        self.sort(folder, title)
 
-    def _members(self, path: Path, folder: Path, source: str) -> Iterator[tuple[str, Path]]:
-        """Unpack a zip file by file; yield their names and paths without clutter."""
-        folder.mkdir(parents=True)
-        most_bytes = max(self.limits.members * _ENTRY_BYTES, 2 * _CHUNK)
-        with (
-            wrap_reader_errors(source, UploadError, "pack or copy it again"),
-            _Bounded(path, most_bytes) as stream,
-            zipfile.ZipFile(stream) as archive,
-        ):
-            members = [
-                (member, name)
-                for member in archive.infolist()
-                if not member.is_dir()
-                and not _is_clutter(name := _member_path(member.orig_filename, source))
-            ]
-            for member, name in members:
-                self._check_member(member, clean_name(name.name), source)
-            self._members_left -= len(members)
-            if self._members_left < 0:
-                fault, most = "holds more than {files} files", self.limits.members
-                raise UploadError(fault, source=source, remedy=_SMALLER, files=most)
-            for member, name in members:
-                self._extract(archive, member, folder / name, source)
-                yield str(name), folder / name
+    def _members(
+        self, archive: zipfile.ZipFile, title: str
+    ) -> list[tuple[zipfile.ZipInfo, PurePosixPath]]:
+        """Return a zip's files without clutter, after checking all of them."""
+        files = (member for member in archive.infolist() if not member.is_dir())
+        members = [(member, _member_path(member.filename, title)) for member in files]
+        self._members_left -= len(members)
+        if self._members_left < 0:
+            fault, most = "holds more than {files} files", self.limits.members
+            raise UploadError(fault, source=title, remedy=_SMALLER, files=most)
+        for member, name in members:
+            if stat.S_IFMT(member.external_attr >> 16) not in {0, stat.S_IFREG}:
+                fault, remedy = "its member {name!r} is a link or a device", "pack plain files"
+            elif member.flag_bits & 0x1 or member.compress_type not in _PLAIN:
+                fault = "its member {name!r} is locked or packed in an unusual way"
+                remedy = "pack it without a password, as a plain zip"
+            else:
+                continue
+            raise UploadError(fault, source=title, remedy=remedy, name=name.name)
+        return members
 
-    def _extract(
-        self, archive: zipfile.ZipFile, member: zipfile.ZipInfo, target: Path, source: str
-    ) -> None:
-        size, title = 0, f"{source}: {target.name}"
-        with wrap_os_errors("cannot be kept", title, "pack it with shorter names", UploadError):
-            if target.exists():
-                raise UploadError(
-                    "has two members of one name", source=source, remedy="pack the folder again"
-                )
-            target.parent.mkdir(parents=True, exist_ok=True)
-            unpacked = target.open("xb")
-        with unpacked, archive.open(member) as packed:
-            while chunk := packed.read(_CHUNK):  # sizes in the directory may be false
-                size += len(chunk)
-                self._unpacked_left -= len(chunk)
-                if self._unpacked_left < 0:
-                    raise UploadError(
-                        "unpacks to more than is accepted", source=source, remedy=_SMALLER
-                    )
-                self._check_sizes(size, member.compress_size, target.name, source)
-                _write(unpacked, chunk, source)
 
-    def _check_member(self, member: zipfile.ZipInfo, title: str, source: str) -> None:
-        if stat.S_IFMT(member.external_attr >> 16) not in {0, stat.S_IFREG}:
-            fault = "its member {name!r} is a link or a device"
-            remedy = "pack the files themselves"
-        elif member.flag_bits & 0x1 or member.compress_type not in _PLAIN:
-            fault = "its member {name!r} is locked or packed in an unusual way"
-            remedy = "pack it without a password, as a plain zip"
-        else:
-            return self._check_sizes(member.file_size, member.compress_size, title, source)
-        raise UploadError(fault, source=source, remedy=remedy, name=title)
-
-    def _check_sizes(self, size: int, packed: int, title: str, source: str) -> None:
-        limits = self.limits
-        if size > limits.file_bytes:
-            fault = "its member {name!r} has more than {most:g} MB"
-            remedy, most = _SMALLER, limits.file_bytes / 1e6
-        elif size > limits.ratio_from_bytes and size > limits.ratio * max(packed, 1):
-            fault, most = (
-                "its member {name!r} unpacks to more than {most:g} times its size",
-                limits.ratio,
-            )
-            remedy = "pack the files again; pictures never shrink that much"
-        else:
-            return
-        raise UploadError(fault, source=source, remedy=remedy, name=title, most=most)
+def _too_large(title: str, most_bytes: int) -> UploadError:
+    fault, size = "is more than the {size:g} MB that are taken", most_bytes / 1e6
+    return UploadError(fault, source=title, remedy=_SMALLER, size=size)
 
 
 class _Bounded(io.FileIO):
@@ -453,22 +398,11 @@ def _member_path(name: str, archive: str) -> PurePosixPath:
     cucumbervision.errors.UploadError: a.zip: a member's name leads out of the zip ('.bashrc');
     pack the captures' folder again
     """
-    plain = name.replace("\\", "/")
-    parts = plain.split("/")
-    drive = len(parts[0]) > 1 and parts[0][1] == ":"
-    if plain.startswith("/") or drive or ".." in parts or "\0" in plain or not plain.strip("/ ."):
-        fault, remedy = "a member's name leads out of the zip ({name!r})", _PACK_AGAIN
-        raise UploadError(fault, source=archive, remedy=remedy, name=clean_name(name))
-    if len(parts) > _DEEPEST_FOLDER:
-        fault, depth = "nests more than {depth} folders", _DEEPEST_FOLDER
-        raise UploadError(fault, source=archive, remedy=_PACK_AGAIN, depth=depth)
+    parts = name.replace("\\", "/").split("/")
+    if not parts[0] or ".." in parts:
+        fault = "a member's name leads out of the zip ({name!r})"
+        raise UploadError(fault, source=archive, remedy=_PACK_AGAIN, name=clean_name(name))
     return PurePosixPath(*(clean_name(part) for part in parts if part not in ("", ".")))
-
-
-def _is_clutter(path: PurePosixPath) -> bool:
-    """Return whether a file is metadata of an operating system."""
-    name = path.name.lower()
-    return name in _CLUTTER or name.startswith("._") or "__MACOSX" in path.parts
 
 
 def _is_zip(path: Path, name: str) -> bool:
@@ -476,11 +410,6 @@ def _is_zip(path: Path, name: str) -> bool:
     with path.open("rb") as stream:
         head = stream.read(4)
     return head in (b"PK\x03\x04", b"PK\x05\x06") and not name.lower().endswith(".npz")
-
-
-def _write(stream: BinaryIO, chunk: bytes, source: str) -> None:
-    with wrap_os_errors("cannot be kept", source, "make room on the disk", UploadError):
-        stream.write(chunk)
 
 
 def _left_alone(file_title: str, suffix: str) -> CaptureError:

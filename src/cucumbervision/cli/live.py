@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from pydantic import BaseModel
 
-    from cucumbervision.capture.recorder import Recorded
+    from cucumbervision.capture.camera import Recorded
     from cucumbervision.errors import CucumberVisionError
     from cucumbervision.run.measurer import Failure
     from cucumbervision.run.options import MeasureOptions
@@ -250,10 +250,8 @@ def record(
     """
     from itertools import islice
 
-    from cucumbervision.capture.camera import FolderCamera, RgbdCamera
-    from cucumbervision.capture.realsense import CameraConfig, RealSenseCamera
-    from cucumbervision.capture.realsense_device import CameraSettings
-    from cucumbervision.capture.recorder import Walk, record_captures
+    from cucumbervision.capture.camera import FolderCamera, RgbdCamera, Walk, record_captures
+    from cucumbervision.capture.realsense import CameraConfig, CameraSettings, RealSenseCamera
 
     config = CameraConfig(serial, fps=15, burst=burst, settings=CameraSettings(preset, exposure))
 
@@ -274,7 +272,7 @@ def record(
 
 def cameras() -> None:
     """List the connected RealSense cameras with their serial numbers."""
-    from cucumbervision.capture.realsense_device import list_cameras
+    from cucumbervision.capture.realsense import list_cameras
     from cucumbervision.cli.console import columns_table, screen
 
     devices = list_cameras()

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from cucumbervision.accuracy.calibration_file import CorrectionEntry, SiteCalibration
-    from cucumbervision.accuracy.table import ReportTable
+    from cucumbervision.accuracy.statistics import ReportTable
 
 
 def calibrate(
@@ -110,7 +110,7 @@ _CORRECTIONS = {
 
 
 def _corrections_table(entries: Sequence[CorrectionEntry]) -> ReportTable:
-    from cucumbervision.accuracy.table import ReportTable
+    from cucumbervision.accuracy.statistics import ReportTable
 
     rows = []
     for entry in entries:

@@ -9,8 +9,8 @@ import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.fruit.masks import distances_inside, mask_pixels, mask_window
-from cucumbervision.tube.curve import arc_positions
 from cucumbervision.tube.pixels import sample_color
+from cucumbervision.tube.shape import arc_positions
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -25,8 +25,9 @@ from cucumbervision.methods.result import LengthKind, Measurement, MethodName, R
 from cucumbervision.methods.table import Region, TableMethod
 from cucumbervision.methods.traits import TubeTraits, tube_traits
 from cucumbervision.tube.evidence import Evidence, end_overhangs, gaps
-from cucumbervision.tube.fit import TubeFitting, fit_shape
-from cucumbervision.tube.guess import (
+from cucumbervision.tube.fit import (
+    TubeFitting,
+    fit_shape,
     guess_from_midline,
     guess_from_picture,
     guess_shape,

@@ -9,14 +9,14 @@ import numpy as np
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.methods.result import LengthKind, Measurement, MethodName, Reason
 from cucumbervision.methods.table import GATE_M, Region, TableMethod, box_pixels, or_else
-from cucumbervision.tube.curve import (
+from cucumbervision.tube.pixels import valid_median
+from cucumbervision.tube.shape import (
     AlignedCloud,
     align_near,
     bin_centroids,
     natural_spline,
     polyline_length,
 )
-from cucumbervision.tube.pixels import valid_median
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

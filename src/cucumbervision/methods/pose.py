@@ -13,8 +13,8 @@ from pydantic import ConfigDict, Field, PlainSerializer, PlainValidator, TypeAda
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.methods.flags import Flag
 from cucumbervision.methods.intervals import SCALE_SD
-from cucumbervision.tube.curve import arc_positions, points_along
 from cucumbervision.tube.fit import END_SHARE
+from cucumbervision.tube.shape import arc_positions, points_along
 
 if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture

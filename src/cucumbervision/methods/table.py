@@ -14,7 +14,7 @@ from cucumbervision.fruit.masks import mask_window
 from cucumbervision.methods.result import LengthDefinition, LengthKind, Measurement, Reason
 from cucumbervision.plugins import Plugin, own, plugins
 from cucumbervision.threads import OneThread
-from cucumbervision.tube.curve import AlignedCloud, align_near
+from cucumbervision.tube.shape import AlignedCloud, align_near
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cucumbervision.capture.intrinsics import Intrinsics
-    from cucumbervision.protocols import Method
+    from cucumbervision.plugins import Method
 
 
 _STRIDE = 2  # pixels, of a box

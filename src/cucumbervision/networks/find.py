@@ -20,7 +20,7 @@ from cucumbervision.networks.confidence import (
 from cucumbervision.networks.looks import EndLooker, FruitLooker
 from cucumbervision.networks.registry import Registry, file_sha256, load_registry
 from cucumbervision.networks.yolo import SAME_IOU, YoloDetector
-from cucumbervision.protocols import Segmenter
+from cucumbervision.plugins import Segmenter
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

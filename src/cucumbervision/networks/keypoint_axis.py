@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cucumbervision.fruit.masks import distances_inside, mask_pixels, mask_window
-from cucumbervision.tube.curve import arc_positions, points_along
+from cucumbervision.tube.shape import arc_positions, points_along
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable

@@ -22,8 +22,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.frames import Capture
     from cucumbervision.methods.result import Fruit
-    from cucumbervision.plugins import Plugin
-    from cucumbervision.protocols import Trait
+    from cucumbervision.plugins import Plugin, Trait
 
 Cell: TypeAlias = str | int | float | bool | None
 CellType: TypeAlias = Literal["text", "whole", "number", "yes/no"]

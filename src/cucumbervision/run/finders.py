@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from cucumbervision.networks.find import NetworkLoader
     from cucumbervision.networks.registry import Registry
     from cucumbervision.networks.yolo import YoloDetector
-    from cucumbervision.protocols import Detector
+    from cucumbervision.plugins import Detector
 
 _MAY_HOLD_FLOWERS = (MaskSource.SAM, MaskSource.SEGMENTER)
 

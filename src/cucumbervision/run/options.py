@@ -33,7 +33,7 @@ from cucumbervision.run.fields import fields_with, trait_field
 if TYPE_CHECKING:
     from typing import Self
 
-    from cucumbervision.protocols import Detector, Method, Segmenter, Trait
+    from cucumbervision.plugins import Detector, Method, Segmenter, Trait
     from cucumbervision.run.fields import Field
 
 _Enum = TypeVar("_Enum", bound=StrEnum)

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.intrinsics import Intrinsics
     from cucumbervision.methods.result import Fruit
-    from cucumbervision.protocols import Detector, Method, Reader, Segmenter, Trait
+    from cucumbervision.plugins import Detector, Method, Reader, Segmenter, Trait
     from cucumbervision.run.fields import Cell
     from cucumbervision.run.inputs import Opener
 

@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cucumbervision.tube.curve import arc_positions, principal_axis
 from cucumbervision.tube.pixels import median_of
-from cucumbervision.tube.shape import shape_from_curve
+from cucumbervision.tube.shape import arc_positions, principal_axis, shape_from_curve
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -21,11 +21,10 @@ from typing import TYPE_CHECKING, Protocol, Self
 import numpy as np
 import streamlit as st
 
+from cucumbervision.capture.camera import DepthQuality, depth_quality
 from cucumbervision.capture.frames import fuse_burst, moved_px
 from cucumbervision.capture.readers import RECORDING_SUFFIXES, CaptureRef, ReadOptions, open_source
-from cucumbervision.capture.realsense import CameraConfig, RealSenseCamera
-from cucumbervision.capture.realsense_device import CameraSettings
-from cucumbervision.capture.recorder import DepthQuality, depth_quality
+from cucumbervision.capture.realsense import CameraConfig, CameraSettings, RealSenseCamera
 from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import (
     CameraError,

@@ -27,7 +27,7 @@ from cucumbervision.run.fields import stored_row
 from cucumbervision.run.inputs import Listed
 from cucumbervision.run.measurer import Boundary, Failure, Measurer
 from cucumbervision.run.options import GRAVITY_BY_EDGE
-from cucumbervision.tube.curve import arc_positions
+from cucumbervision.tube.shape import arc_positions
 from cucumbervision_greenhouse.rounds.poses import placed_stop, stored_pose
 from cucumbervision_greenhouse.store.images import DEPTH_UNIT_M
 from cucumbervision_greenhouse.store.records import (

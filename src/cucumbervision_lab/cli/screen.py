@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from rich.progress import TaskID
 
-    from cucumbervision.accuracy.table import ReportTable
+    from cucumbervision.accuracy.statistics import ReportTable
 
 
 @contextmanager

@@ -20,7 +20,7 @@ from cucumbervision.fruit.label_files import LabelledImage, LabelledInstance, en
 from cucumbervision.fruit.mask_codes import Rle, mask_of_segmentation
 from cucumbervision.fruit.masks import box_of_mask, mask_window
 from cucumbervision.networks.keypoint_axis import KEYPOINT_SHARES, axis_line
-from cucumbervision.tube.curve import points_along
+from cucumbervision.tube.shape import points_along
 from cucumbervision_lab.arrays import Array, Mask, Pixels, Progress
 
 KEYPOINT_ORDER = "keypoint_order"

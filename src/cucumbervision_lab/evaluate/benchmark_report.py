@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from cucumbervision.accuracy.statistics import Estimate, estimate, score
-from cucumbervision.accuracy.table import Cell, ReportTable
+from cucumbervision.accuracy.statistics import Cell, Estimate, ReportTable, estimate, score
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.files import write_json
 from cucumbervision.methods.result import LengthDefinition

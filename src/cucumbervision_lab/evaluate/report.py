@@ -13,8 +13,7 @@ import pandas as pd
 
 from cucumbervision._version import __version__
 from cucumbervision.about import LICENCE, installed_versions
-from cucumbervision.accuracy.statistics import Estimate, estimate, share
-from cucumbervision.accuracy.table import Cell, ReportTable
+from cucumbervision.accuracy.statistics import Cell, Estimate, ReportTable, estimate, share
 from cucumbervision.files import write_csv
 from cucumbervision.fruit.instance import LEAST_END_CONFIDENCE
 from cucumbervision.methods.result import LengthDefinition

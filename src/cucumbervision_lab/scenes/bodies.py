@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cucumbervision.tube.curve import polyline_length
-from cucumbervision.tube.shape import thread_length
+from cucumbervision.tube.shape import polyline_length, thread_length
 from cucumbervision_lab.arrays import Array, Generator
 
 _BALLS = 800  # every 0.3 mm for a 25 cm fruit, so that the surface ripple is below 1 µm

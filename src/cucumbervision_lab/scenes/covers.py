@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
-from cucumbervision.tube.curve import arc_positions, points_along
+from cucumbervision.tube.shape import arc_positions, points_along
 from cucumbervision_lab.scenes.paste import Cutout
 
 if TYPE_CHECKING:

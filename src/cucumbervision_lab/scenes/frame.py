@@ -10,7 +10,7 @@ import numpy as np
 
 from cucumbervision.capture.frames import fuse_burst
 from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision.tube.curve import arc_positions, points_along
+from cucumbervision.tube.shape import arc_positions, points_along
 from cucumbervision_lab.arrays import Array, Array32, Generator, Pixels
 from cucumbervision_lab.scenes.appearance import Assets, Style, random_style
 from cucumbervision_lab.scenes.colors import expose, palette, random_exposure

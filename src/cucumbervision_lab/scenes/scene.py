@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision.tube.curve import points_along
+from cucumbervision.tube.shape import points_along
 from cucumbervision_lab.arrays import Array, Array32, Mask, Pixels
 from cucumbervision_lab.scenes import raycast
 from cucumbervision_lab.scenes.bodies import Tube

@@ -15,7 +15,7 @@ from cucumbervision.capture.frames import Capture, valid_depth
 from cucumbervision.capture.pictures import read_color
 from cucumbervision.errors import TrainingError
 from cucumbervision.fruit.crops import end_crop
-from cucumbervision.tube.curve import arc_positions, points_along
+from cucumbervision.tube.shape import arc_positions, points_along
 from cucumbervision_lab.arrays import Array, Array32, Generator, Mask, Pixels, Progress
 from cucumbervision_lab.data.splits import is_held_out
 from cucumbervision_lab.evaluate.pictures import capture_of

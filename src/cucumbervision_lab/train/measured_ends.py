@@ -26,7 +26,7 @@ from cucumbervision.methods.selector import measure_fruit
 from cucumbervision.networks.keypoint_axis import axis_line
 from cucumbervision.run.measurer import Measurer
 from cucumbervision.run.options import MeasureOptions
-from cucumbervision.tube.curve import arc_positions, points_along
+from cucumbervision.tube.shape import arc_positions, points_along
 from cucumbervision_lab.arrays import Array, Generator, Mask, Progress
 from cucumbervision_lab.data.labels import DataSet, Label, LabelledPicture, ticked
 from cucumbervision_lab.data.splits import is_held_out

@@ -12,9 +12,8 @@ import pytest
 from tests.capsules import CAMERA, capsule_capture, lying
 
 from cucumbervision import measure
-from cucumbervision.capture.conventions import DepthAlong
 from cucumbervision.capture.frames import Capture, Doubt
-from cucumbervision.capture.intrinsics import Intrinsics, Stream
+from cucumbervision.capture.intrinsics import DepthAlong, Intrinsics, Stream
 from cucumbervision.capture.pictures import write_png
 from cucumbervision.capture.readers import ReadOptions, open_source
 from cucumbervision.capture.readers.native import write_native

@@ -13,8 +13,7 @@ import pytest
 
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision.capture.realsense import CameraConfig
-from cucumbervision.capture.realsense_device import CameraSettings
+from cucumbervision.capture.realsense import CameraConfig, CameraSettings
 from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import CameraError
 from cucumbervision_greenhouse.camera import cameras

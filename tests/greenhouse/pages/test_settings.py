@@ -12,7 +12,7 @@ from streamlit.testing.v1 import AppTest
 from streamlit.testing.v1.element_tree import Selectbox
 from tests.greenhouse.pages.app_pages import app, said, tables
 
-from cucumbervision.capture.realsense_device import CameraSettings
+from cucumbervision.capture.realsense import CameraSettings
 from cucumbervision_greenhouse import resources
 from cucumbervision_greenhouse.settings import truth_folder
 

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from tests.lab.evaluate.conftest import make_record
 
-from cucumbervision.accuracy.table import ReportTable
+from cucumbervision.accuracy.statistics import ReportTable
 from cucumbervision_lab.evaluate.benchmark_report import benchmark_tables, write_tables
 from cucumbervision_lab.evaluate.cases import Suite
 from cucumbervision_lab.evaluate.measure_case import Masks, readings_frame

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from cucumbervision.accuracy.table import Cell, ReportTable
+from cucumbervision.accuracy.statistics import Cell, ReportTable
 from cucumbervision.methods.result import LengthDefinition
 from cucumbervision_lab.evaluate.benchmark_report import (
     accuracy_table,

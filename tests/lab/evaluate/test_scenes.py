@@ -20,7 +20,7 @@ pytest.importorskip("onnx")
 
 import onnx
 
-from cucumbervision.accuracy.table import Cell
+from cucumbervision.accuracy.statistics import Cell
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.pictures import write_png
 from cucumbervision.cli.app import app
@@ -190,7 +190,7 @@ def test_ends(result: DetectionResult, scene: DrawnFruit) -> None:
     every = tables_of(result)["Ends"]["all"]
     assert every["n"] == 4
     # The network's points are 3 px off; the outline's axis ends within a pixel of the fruit's.
-    assert cast(float, every["median (% of length)"]) < 100 * 1 / length
+    assert cast("float", every["median (% of length)"]) < 100 * 1 / length
     assert end_rows(result.frames, result.confidence)["swapped"].tolist() == [False, False]
 
 
@@ -198,14 +198,14 @@ def test_masks_and_lengths(result: DetectionResult) -> None:
     tables = tables_of(result)
     masks = tables["Masks"]
     assert (masks["detector"]["fruit"], masks["measured"]["fruit"]) == (2, 1)
-    assert cast(float, masks["detector"]["mean IoU"]) > 0.9  # blocks of four pixels
-    assert cast(float, masks["measured"]["mean IoU"]) > 0.93  # drawn by SAM
+    assert cast("float", masks["detector"]["mean IoU"]) > 0.9  # blocks of four pixels
+    assert cast("float", masks["measured"]["mean IoU"]) > 0.93  # drawn by SAM
     assert set(result.readings["masks"]) == {Masks.EXACT, Masks.PERCEIVED}
     for words in ("true masks", "perceived masks"):
         lengths = tables[f"Accuracy against the centreline, {words}"]
         best = lengths["selector best"]
         assert (best["measured (%)"], best["captures"]) == (100.0, 1)
-        assert cast(float, best["MAPE (%)"]) < 5
+        assert cast("float", best["MAPE (%)"]) < 5
     assert lengths["M4"]["measured (%)"] == 100.0
 
 

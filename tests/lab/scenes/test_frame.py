@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from cucumbervision.tube.curve import polyline_length
+from cucumbervision.tube.shape import polyline_length
 from cucumbervision_lab.scenes.appearance import load_assets
 from cucumbervision_lab.scenes.frame import Frame, FrameOptions, draw_frame, extras_of
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.camera_file import CameraFile
     from cucumbervision.capture.source import CaptureEntry, CaptureLister
-    from cucumbervision.protocols import Reader
+    from cucumbervision.plugins import Reader
 
 __all__ = [
     "RECORDING_SUFFIXES",

@@ -6,11 +6,9 @@ import re
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from cucumbervision.capture.conventions import DepthAlong
 from cucumbervision.capture.depth import depth_to_metres, enlarge_depth, require_readings
-from cucumbervision.capture.depth_direction import depth_along_axis
-from cucumbervision.capture.frames import Capture, Doubt
-from cucumbervision.capture.intrinsics import Intrinsics, Stream, check_intrinsics
+from cucumbervision.capture.frames import Capture, Doubt, depth_along_axis
+from cucumbervision.capture.intrinsics import DepthAlong, Intrinsics, Stream, check_intrinsics
 from cucumbervision.errors import CaptureError, IntrinsicsError, wrap_reader_errors
 from cucumbervision.tube.camera import align_depth_to_color
 

@@ -12,10 +12,9 @@ import numpy as np
 from pydantic import AfterValidator, Field
 
 from cucumbervision.capture.camera_file import CameraModel, StrictModel
-from cucumbervision.capture.conventions import MASKS, DepthAlong
 from cucumbervision.capture.depth import depth_to_metres, require_readings
-from cucumbervision.capture.depth_direction import depth_along_axis
-from cucumbervision.capture.frames import Capture, FusedBurst, Stop, fuse_burst
+from cucumbervision.capture.frames import Capture, FusedBurst, Stop, depth_along_axis, fuse_burst
+from cucumbervision.capture.intrinsics import MASKS, DepthAlong
 from cucumbervision.capture.pictures import (
     MOST_BURST_PIXELS,
     read_color,

@@ -6,11 +6,15 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from cucumbervision.capture.camera_file import read_camera_file
-from cucumbervision.capture.conventions import DepthAlong
-from cucumbervision.capture.intrinsics import Stream
+from cucumbervision.capture.intrinsics import DepthAlong, Stream
 from cucumbervision.capture.readers.common import choose_intrinsics
-from cucumbervision.capture.realsense import AlignedFrame, AlignedStream, burst_capture, play_file
-from cucumbervision.capture.realsense_device import import_realsense
+from cucumbervision.capture.realsense import (
+    AlignedFrame,
+    AlignedStream,
+    burst_capture,
+    import_realsense,
+    play_file,
+)
 from cucumbervision.capture.source import CaptureRef, CaptureSource, ReadOptions, fail, safe_name
 from cucumbervision.errors import CaptureError
 

@@ -11,8 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from tests.capsules import capsule_capture, lying
 
-from cucumbervision.capture.depth_direction import depth_along_axis, is_along_ray
-from cucumbervision.capture.frames import Doubt
+from cucumbervision.capture.frames import Doubt, depth_along_axis, is_along_ray
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers import ReadOptions, open_source
 from cucumbervision.methods.flags import Flag, is_lower_bound

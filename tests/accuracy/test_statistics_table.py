@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from cucumbervision.accuracy.table import ReportColumn, ReportTable
+from cucumbervision.accuracy.statistics import ReportColumn, ReportTable
 
 
 def test_a_row_with_a_cell_too_few_is_refused() -> None:

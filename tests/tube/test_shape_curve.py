@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from cucumbervision.tube.curve import (
+from cucumbervision.tube.shape import (
     align_near,
     arc_positions,
     bin_centroids,

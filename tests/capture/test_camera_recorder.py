@@ -11,12 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cucumbervision.capture.camera import FolderCamera
+from cucumbervision.capture.camera import FolderCamera, Recorded, Walk, record_captures
 from cucumbervision.capture.frames import Capture, Stop
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.readers.native import write_native
 from cucumbervision.capture.realsense import CameraConfig, RealSenseCamera
-from cucumbervision.capture.recorder import Recorded, Walk, record_captures
 from cucumbervision.errors import CameraError, CucumberVisionError
 
 

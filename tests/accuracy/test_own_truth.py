@@ -131,7 +131,6 @@ def test_bundled_captures_against_their_own_truth(run: Path, table: Path) -> Non
     assert scores["centreline", "reported"] == scores["centreline", "M6"]
     assert ("chord", "reported") not in scores
     assert "Some of these captures are simulated." in found.notes
-    assert all(0.4 < reading.distance_m < 0.7 for _, reading in found.pairs)
 
 
 def test_the_tables_hold_scores_and_each_length(run: Path, table: Path, tmp_path: Path) -> None:

@@ -24,6 +24,7 @@ from cucumbervision.errors import (
     CucumberVisionError,
     Message,
     TruthError,
+    as_errors_of,
     wrap_os_errors,
     wrap_reader_errors,
 )
@@ -127,6 +128,11 @@ def match_truth(measured: Measured, truth: Truth) -> list[tuple[TrueLength, Read
         With the line number, if a capture or fruit is unknown, the median ratio to the measured
         lengths indicates another unit than centimetres, or a length is implausible.
     """
+    with as_errors_of(truth.path):
+        return _matched(measured, truth)
+
+
+def _matched(measured: Measured, truth: Truth) -> list[tuple[TrueLength, Reading]]:
     readings = {(r.capture, r.fruit): r for r in measured.readings}
     ran = sorted({key for r in measured.readings for key in r.lengths_m})
     counts = Counter(r.capture for r in measured.readings)
@@ -136,23 +142,18 @@ def match_truth(measured: Measured, truth: Truth) -> list[tuple[TrueLength, Read
             raise TruthError(
                 f"line {length.line}: capture '{length.capture}' is not among the measurements of "
                 f"{measured.path} ({_shortened(measured.captures)})",
-                source=truth.path,
                 remedy="measure it, correct its name, or drop the line",
             )
-        if length.fruit is None:
-            missed = Reading(length.capture, 0, dict.fromkeys(ran), flags=MISSED)
-            pairs.append((length, missed))
-        elif (length.capture, length.fruit) in readings:
-            pairs.append((length, readings[length.capture, length.fruit]))
-        else:
+        if length.fruit is not None and (length.capture, length.fruit) not in readings:
             raise TruthError(
                 f"line {length.line}: capture '{length.capture}' has {counts[length.capture]} "
                 f"measured fruit, no number {length.fruit}",
-                source=truth.path,
                 remedy=f"see the numbers in the overlay; write '{MISSED}' for a fruit that the "
                 "run did not find",
             )
-    _require_centimetres(pairs, truth.path)
+        missed = Reading(length.capture, 0, dict.fromkeys(ran), flags=MISSED)
+        pairs.append((length, readings.get((length.capture, length.fruit or 0), missed)))
+    _require_centimetres(pairs)
     return pairs
 
 
@@ -213,7 +214,7 @@ def _score(
     )
 
 
-def _require_centimetres(pairs: Sequence[tuple[TrueLength, Reading]], path: Path) -> None:
+def _require_centimetres(pairs: Sequence[tuple[TrueLength, Reading]]) -> None:
     measured = [(length, [x for x in reading.lengths_m.values() if x]) for length, reading in pairs]
     ratios = [
         length.length_m / float(np.median(lengths_m)) for length, lengths_m in measured if lengths_m
@@ -224,7 +225,6 @@ def _require_centimetres(pairs: Sequence[tuple[TrueLength, Reading]], path: Path
             raise TruthError(
                 "the lengths are not in centimetres: their median is {ratio:.3g} times what "
                 "was measured, about {words}",
-                source=path,
                 remedy="{advice}; the columns hold centimetres",
                 ratio=ratio,
                 words=words,
@@ -235,7 +235,6 @@ def _require_centimetres(pairs: Sequence[tuple[TrueLength, Reading]], path: Path
             if not _SHORTEST_M <= length_m <= _LONGEST_M:
                 raise TruthError(
                     "line {number}: {length:g} cm is not a plausible length",
-                    source=path,
                     remedy="give centimetres, between 1 and 100",
                     number=length.line,
                     length=100 * length_m,
@@ -353,8 +352,8 @@ def scores_table(scores: Sequence[MethodScore]) -> ReportTable:
 
 
 REPORTED = "reported"
-_TUBE_COLUMNS = {"M6 thread": "thread_cm", "M6 chord": "chord_cm"}
-_METHOD_COLUMNS = {f"M{k}": f"m{k}_cm" for k in range(1, 7)}
+_COLUMNS = {f"M{k}": f"m{k}_cm" for k in range(1, 7)}
+_COLUMNS |= {"M6 thread": "thread_cm", "M6 chord": "chord_cm"}
 _LONGEST_CM = 10_000
 _REMEDY = "give the folder of a `measure` run, or its measurements.json or measurements.csv"
 
@@ -374,10 +373,8 @@ class Reading:
         (`length_cm`); None if the method failed, no key if it was not run.
     fell_back : frozenset of str
         Methods that fell back to another method.
-    kind, method, mask_source : str
-        Definition, method and mask source of the reported length; empty if unknown.
-    distance_m, fill : float
-        Distance and depth fill of the fruit; NaN if unknown.
+    kind, mask_source : str
+        Definition and mask source of the reported length; empty if unknown.
     flags : str
         Flags of the row.
     """
@@ -387,10 +384,7 @@ class Reading:
     lengths_m: dict[str, float | None]
     fell_back: frozenset[str] = frozenset()
     kind: str = ""
-    method: str = ""
     mask_source: str = ""
-    distance_m: float = math.nan
-    fill: float = math.nan
     flags: str = ""
 
     @property
@@ -485,36 +479,29 @@ def _read_report(path: Path) -> dict[str, Any]:
 
 
 def _parsed_cells(cells: Mapping[str, str]) -> dict[str, Any]:
-    numbers = {"fruit", "fill"} | {name for name in cells if name.endswith("_cm")}
-    return {k: parse_number(v) if k in numbers else v for k, v in cells.items()}
+    return {k: parse_number(v) if k.endswith(("_cm", "fruit")) else v for k, v in cells.items()}
 
 
 def _keys_that_ran(rows: Sequence[Mapping[str, Any]], report: Mapping[str, Any]) -> list[str]:
     """Return the methods that were run, according to the report or because they have lengths."""
-    columns = {**_METHOD_COLUMNS, **_TUBE_COLUMNS}
     asked = report.get("config", {}).get("methods", [])
     return [
         key
-        for key, column in columns.items()
+        for key, column in _COLUMNS.items()
         if key in asked or any(row.get(column) is not None for row in rows)
     ]
 
 
 def _reading(row: Mapping[str, Any], ran: Sequence[str]) -> Reading:
-    columns = {**_METHOD_COLUMNS, **_TUBE_COLUMNS}
-    lengths = {key: _metres(row.get(columns[key])) for key in ran}
+    lengths = {key: _metres(row.get(_COLUMNS[key])) for key in ran}
     methods = row.get("methods", {})
-    distance = _metres(row.get("distance_cm"))
     return Reading(
         capture=str(row["capture"]),
         fruit=int(row["fruit"]),
         lengths_m={**lengths, REPORTED: _metres(row.get("length_cm"))},
         fell_back=frozenset(m for m, outcome in methods.items() if outcome.get("fallback")),
         kind=_word(row, "length_kind"),
-        method=_word(row, "method"),
         mask_source=_word(row, "mask_source"),
-        distance_m=math.nan if distance is None else distance,
-        fill=math.nan if row.get("fill") is None else float(row["fill"]),
         flags=_word(row, "flags"),
     )
 

@@ -12,7 +12,7 @@ from unicodedata import normalize
 
 import numpy as np
 
-from cucumbervision.errors import CucumberVisionError, TruthError, wrap_reader_errors
+from cucumbervision.errors import CucumberVisionError, TruthError, as_errors_of, wrap_reader_errors
 from cucumbervision.files import read_text
 from cucumbervision.methods.result import LengthDefinition
 
@@ -76,31 +76,25 @@ def read_table(path: Path, error: type[CucumberVisionError] = CucumberVisionErro
     if first.strip().strip('"').lower().startswith("sep="):
         text, skipped = further_lines, 1
         first = further_lines.partition("\n")[0]
-    if not text.strip():
-        raise error("the file is empty", source=path, remedy="write a head and a line a length")
     separator = max(_SEPARATORS, key=first.count)
-    with wrap_reader_errors(path, error, "write one line a length, and close every quote"):
-        return _table_of(text, skipped, separator, path, error)
+    with as_errors_of(path):
+        if not text.strip():
+            raise error("the file is empty", remedy="write a head and a line a length")
+        with wrap_reader_errors(path, error, "write one line a length, and close every quote"):
+            return _table_of(text, skipped, separator, error)
 
 
 def _table_of(
-    text: str, skipped: int, separator: str, path: Path, error: type[CucumberVisionError]
+    text: str, skipped: int, separator: str, error: type[CucumberVisionError]
 ) -> CsvTable:
     reader = csv.reader(io.StringIO(text), delimiter=separator)
     head = tuple(name.strip().lower() for name in next(reader))
     if len(head) > _MOST_COLUMNS:
-        raise error(
-            f"line {1 + skipped} names {len(head)} columns",
-            source=path,
-            remedy=f"a table has at most {_MOST_COLUMNS}; write the columns' names on line 1",
-        )
-    double = {name for name in head if name and head.count(name) > 1}
-    if double:
-        raise error(
-            f"line {1 + skipped}: column '{min(double)}' is there twice",
-            source=path,
-            remedy="leave one of them out",
-        )
+        remedy = f"a table has at most {_MOST_COLUMNS}; write the columns' names on line 1"
+        raise error(f"line {1 + skipped} names {len(head)} columns", remedy=remedy)
+    if double := {name for name in head if name and head.count(name) > 1}:
+        fault = f"line {1 + skipped}: column '{min(double)}' is there twice"
+        raise error(fault, remedy="leave one of them out")
     lines = []
     for cells in reader:
         if not any(cell.strip() for cell in cells):
@@ -109,7 +103,6 @@ def _table_of(
         if any(cell.strip() for cell in cells[len(head) :]):
             raise error(
                 f"line {number} has {len(cells)} cells, the head {len(head)}",
-                source=path,
                 remedy="put texts that hold the separator in quotes; decimal commas need "
                 "semicolons between cells",
             )
@@ -240,29 +233,18 @@ def read_truth(path: Path) -> Truth:
     table = read_table(path, TruthError)
     columns = [name for name in table.columns if _LENGTH_COLUMN.fullmatch(name)]
     missing = [name for name in ("capture", "fruit", "kind") if name not in table.columns]
-    if not columns:
-        missing.append("length_cm")
-    if missing:
-        raise TruthError(
-            "has no column {names}",
-            source=path,
-            remedy="name the columns capture, fruit, length_cm (in centimetres), kind",
-            names=", ".join(missing),
-        )
-    if not table.lines:
-        raise TruthError("has a head but no lines", source=path, remedy="write a line a length")
-    unused = [n for n in table.columns if n and n not in {*_KNOWN, *columns}]
-    read = [(line, _true_length(line, columns, path)) for line in table.lines]
+    missing += [] if columns else ["length_cm"]
+    with as_errors_of(path):
+        if missing:
+            remedy = "name the columns capture, fruit, length_cm (in centimetres), kind"
+            raise TruthError("has no column {names}", remedy=remedy, names=", ".join(missing))
+        if not table.lines:
+            raise TruthError("has a head but no lines", remedy="write a line a length")
+        lengths = _merged([(line, _true_length(line, columns)) for line in table.lines])
+        _require_whole_specimens(lengths)
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    lengths = _merged(read, path)
-    _require_whole_specimens(lengths, path)
-    return Truth(
-        path=path,
-        lengths=lengths,
-        specimens_named="specimen" in table.columns,
-        sha256=digest,
-        unused=tuple(unused),
-    )
+    unused = tuple(n for n in table.columns if n and n not in {*_KNOWN, *columns})
+    return Truth(path, lengths, "specimen" in table.columns, digest, unused)
 
 
 def floor_of(lengths: Sequence[TrueLength]) -> Floor | None:
@@ -299,84 +281,61 @@ def floor_of(lengths: Sequence[TrueLength]) -> Floor | None:
     )
 
 
-def _true_length(line: Line, columns: Sequence[str], path: Path) -> TrueLength:
-    cells = line.cells
+def _true_length(line: Line, columns: Sequence[str]) -> TrueLength:
+    cells, place = line.cells, f"line {line.number}"
     if not cells["capture"]:
-        raise TruthError(
-            f"line {line.number}: names no capture", source=path, remedy="fill the column capture"
-        )
+        raise TruthError(f"{place}: names no capture", remedy="fill the column capture")
     kinds = [str(kind) for kind in LengthDefinition]
     kind = cells["kind"].lower()
     if kind not in kinds:
-        raise TruthError(
-            f"line {line.number}: '{cells['kind']}' is not a kind of length",
-            source=path,
-            remedy=f"write {', '.join(kinds)}",
-        )
-    fruit = _fruit(line, path)
-    lengths = tuple(_length_m(line, name, path) for name in columns if cells[name])
+        fault = f"{place}: '{cells['kind']}' is not a kind of length"
+        raise TruthError(fault, remedy=f"write {', '.join(kinds)}")
+    fruit = _fruit(cells["fruit"], place)
+    lengths = tuple(_length_m(cells[name], f"{place}: {name}") for name in columns if cells[name])
     if not lengths:
-        raise TruthError(
-            f"line {line.number}: has no length", source=path, remedy="fill it or drop the line"
-        )
-    fruit_name = f"{cells['capture']} {MISSED if fruit is None else fruit}"
-    specimen = cells.get("specimen") or (
-        f"{fruit_name} line {line.number}" if fruit is None else fruit_name
-    )
-    definition = LengthDefinition(kind)
+        raise TruthError(f"{place}: has no length", remedy="fill it or drop the line")
+    fruit_name = f"{cells['capture']} {fruit or f'{MISSED} {place}'}"
     return TrueLength(
         line=line.number,
         capture=normalize("NFC", cells["capture"]),
         fruit=fruit,
-        kind=definition,
+        kind=LengthDefinition(kind),
         lengths_m=lengths,
-        specimen=specimen,
+        specimen=cells.get("specimen") or fruit_name,
     )
 
 
-def _fruit(line: Line, path: Path) -> int | None:
-    text = line.cells["fruit"]
+def _fruit(text: str, place: str) -> int | None:
     if text.lower() == MISSED:
         return None
     value = parse_number(text)
     if value is None or value < 1 or value != int(value):
-        raise TruthError(
-            f"line {line.number}: '{text}' is not the number of a fruit",
-            source=path,
-            remedy=f"give its number in the overlay, or '{MISSED}' if the run did not find it",
-        )
+        remedy = f"give its number in the overlay, or '{MISSED}' if the run did not find it"
+        raise TruthError(f"{place}: '{text}' is not the number of a fruit", remedy=remedy)
     return int(value)
 
 
-def _length_m(line: Line, name: str, path: Path) -> float:
-    value = parse_number(line.cells[name])
+def _length_m(text: str, place: str) -> float:
+    value = parse_number(text)
     if value is None or value <= 0:
-        raise TruthError(
-            f"line {line.number}: {name} '{line.cells[name]}' is not a positive number",
-            source=path,
-            remedy="give centimetres, such as 23.5 or 23,5",
-        )
+        remedy = "give centimetres, such as 23.5 or 23,5"
+        raise TruthError(f"{place} '{text}' is not a positive number", remedy=remedy)
     return value / 100
 
 
-def _merged(read: Sequence[tuple[Line, TrueLength]], path: Path) -> tuple[TrueLength, ...]:
+def _merged(read: Sequence[tuple[Line, TrueLength]]) -> tuple[TrueLength, ...]:
     first_of_repeat: dict[tuple[object, ...], TrueLength] = {}
     merged: dict[tuple[object, ...], TrueLength] = {}
     for line, length in read:
         # Missed fruit have no number and are distinguished by their specimen.
-        fruit = (
-            length.capture,
-            length.specimen if length.fruit is None else length.fruit,
-            length.kind,
-        )
+        fruit = length.capture, length.fruit or length.specimen, length.kind
         repeat = (*fruit, line.cells.get("repeat", ""))
         before = first_of_repeat.setdefault(repeat, length)
-        if before is not length and before.lengths_m != length.lengths_m:
+        if before.lengths_m != length.lengths_m:
             raise TruthError(
                 f"lines {before.line} and {length.line} contradict each other: "
                 f"{_cm(before)} and {_cm(length)} for fruit {length.fruit or MISSED} of "
                 f"'{length.capture}'",
-                source=path,
                 remedy="drop one, or number repeated measurements in a column 'repeat'",
             )
         if before is not length:
@@ -386,7 +345,6 @@ def _merged(read: Sequence[tuple[Line, TrueLength]], path: Path) -> tuple[TrueLe
             raise TruthError(
                 f"lines {first.line} and {length.line} call one fruit '{first.specimen}' and "
                 f"'{length.specimen}'",
-                source=path,
                 remedy="correct the column specimen",
             )
         if first is not length:
@@ -394,7 +352,7 @@ def _merged(read: Sequence[tuple[Line, TrueLength]], path: Path) -> tuple[TrueLe
     return tuple(merged.values())
 
 
-def _require_whole_specimens(lengths: Sequence[TrueLength], path: Path) -> None:
+def _require_whole_specimens(lengths: Sequence[TrueLength]) -> None:
     first_of_specimen: dict[tuple[str, str], TrueLength] = {}
     for length in lengths:
         first = first_of_specimen.setdefault((length.capture, length.specimen), length)
@@ -402,7 +360,6 @@ def _require_whole_specimens(lengths: Sequence[TrueLength], path: Path) -> None:
             raise TruthError(
                 f"lines {first.line} and {length.line}: specimen '{length.specimen}' is fruit "
                 f"{first.fruit or MISSED} and {length.fruit or MISSED} of '{length.capture}'",
-                source=path,
                 remedy="a fruit is in a picture once; correct the column specimen",
             )
 

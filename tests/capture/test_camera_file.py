@@ -1,19 +1,15 @@
 from __future__ import annotations
 
 import json
-import tempfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from cucumbervision.capture.camera_file import read_camera_file
 from cucumbervision.capture.intrinsics import Intrinsics, Stream
-from cucumbervision.capture.readers.common import choose_intrinsics
-from cucumbervision.errors import CaptureError, CucumberVisionError, IntrinsicsError
+from cucumbervision.errors import CaptureError, IntrinsicsError
 from cucumbervision.tube.camera import Distortion
 
 OURS = {
@@ -149,33 +145,3 @@ def test_what_is_refused(data: Any, words: str, tmp_path: Path) -> None:
 def test_what_is_no_json(text: str, words: str, tmp_path: Path) -> None:
     with pytest.raises(CaptureError, match=rf"k\.json: .*{words}"):
         read_camera_file(write(tmp_path, text))
-
-
-NUMBERS = st.one_of(
-    st.floats(), st.integers(), st.integers(-(10**400), 10**400), st.floats(0, 2000, width=32)
-)
-
-
-@settings(max_examples=300, deadline=None)
-@given(
-    keys=st.dictionaries(st.sampled_from([*OURS, "depth_unit_m"]), NUMBERS, max_size=3),
-    coefficients=st.none() | st.lists(NUMBERS, min_size=5, max_size=5),
-    matrix=st.none() | st.lists(NUMBERS, min_size=9, max_size=9),
-)
-def test_any_numbers_are_a_camera_that_can_be_or_are_refused_by_name(
-    keys: dict[str, Any], coefficients: list[Any] | None, matrix: list[Any] | None
-) -> None:
-    data = OURS | keys | {"stream": "color", "distortion": "brown_conrady"}
-    data |= {} if coefficients is None else {"coefficients": coefficients}
-    data |= {} if matrix is None else {"matrix": matrix}
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "k.json"
-        path.write_text(json.dumps(data))
-        try:
-            found = choose_intrinsics(None, read_camera_file(path), 1280, 720, source=path)
-        except CucumberVisionError:
-            return
-    assert 0 <= found.cx_px <= 1280
-    assert 64 <= found.fx_px <= 128_000
-    assert 2 / 3 < found.fx_px / found.fy_px < 1.5
-    assert np.isfinite(found.rays(np.array([0.0, 640.0]), np.array([0.0, 360.0]))).all()

@@ -64,20 +64,6 @@ def test_more_pronouns_than_the_limit_are_a_fault(structure: ModuleType, tmp_pat
     assert faults == ["farm: 25.00 % of the bound names are pronouns, allowed 24.9 %"]
 
 
-def test_a_limit_for_no_folder_is_a_fault(structure: ModuleType, tmp_path: Path) -> None:
-    assert structure.pronouns({"frm": 1.0}, [tmp_path])[1] == [
-        "frm: no such folder, or it binds no name"
-    ]
-
-
-def test_scripts_without_an_ending_are_read_where_their_first_line_names_python(
-    structure: ModuleType, tmp_path: Path
-) -> None:
-    (tmp_path / "count").write_text("#!/usr/bin/env python\nfound = 1\n")
-    (tmp_path / "build").write_text("#!/usr/bin/env bash\nfound=1\n")
-    assert [path.name for path in structure.code_files(tmp_path)] == ["count"]
-
-
 def test_commands_are_listed_with_their_options(structure: ModuleType) -> None:
     app, rows = typer.Typer(), typer.Typer()
 

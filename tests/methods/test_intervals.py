@@ -1,9 +1,6 @@
 from __future__ import annotations
 
-import subprocess
-import sys
 from dataclasses import replace
-from itertools import product
 
 import numpy as np
 import pytest
@@ -244,25 +241,3 @@ def test_the_shipped_models_know_every_method() -> None:
     }  # fmt: skip
     lower, upper = shipped.models["M6"].interval(0.25, values)
     assert 0.22 < lower < 0.25 < upper < 0.28
-
-
-def test_an_interval_does_not_load_all_of_scipys_statistics() -> None:
-    # It takes a second, of the three until the first result.
-    code = (
-        "import sys; from cucumbervision.methods import intervals as i; "
-        "print(round(i._normal_quantile(0.9), 6), 'scipy.stats' in sys.modules)"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["1.644854", "False"]
-
-
-def test_each_tree_asks_a_second_question_on_either_side() -> None:
-    """The first feature at 1; below it the second at 2, above it the third at 3."""
-    tree = Trees(10.0, ((0, 1, 2),), ((1.0, 2.0, 3.0),), ((0.1, 0.2, 0.3, 0.4),))
-    expected: dict[tuple[int, ...], float] = {
-        (0, 0, 0): 10.1, (0, 0, 9): 10.1, (0, 9, 0): 10.2, (0, 9, 9): 10.2,
-        (9, 0, 0): 10.3, (9, 9, 0): 10.3, (9, 0, 9): 10.4, (9, 9, 9): 10.4,
-    }  # fmt: skip
-    for row in product((0, 9), repeat=3):
-        assert tree.value(np.array(row, float)) == pytest.approx(expected[row])
-    assert tree.value(np.array([1.0, 2.0, 9.0])) == pytest.approx(10.1)  # a limit belongs below

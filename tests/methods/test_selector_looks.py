@@ -21,7 +21,6 @@ from cucumbervision.methods.intervals import (
     IntervalModels,
     Trees,
     look_features,
-    tube_features,
 )
 from cucumbervision.methods.result import Fruit, MethodName, TubeFit
 from cucumbervision.methods.selector import DOUBTFUL, end_flag, measure_fruit, with_end_looks
@@ -176,27 +175,6 @@ def test_masks_that_no_network_drew_are_not_looked_at(
     look = Looker(TRUE, TRUE)
     assert with_end_looks(picture, fruit, look, models=MODELS) == fruit
     assert look.batches == []
-
-
-def test_features_of_a_look_are_those_of_both_ends(
-    capture: tuple[Capture, Instance, Instance],
-) -> None:
-    features = look_features((TRUE, COVERED))
-    assert (features["looked"], features["covered"], features["running_on"]) == (1.0, 0.84, 0.01)
-    # 20 % is missing in the median, 51 % at most, 1 % too much at least.
-    assert features["log_missing"] == pytest.approx(-np.log(0.8))
-    assert features["log_above"] == pytest.approx(np.log(np.log(0.8 / 0.49)))
-    assert features["log_below"] == pytest.approx(np.log(np.log(1.01 / 0.8)))
-    picture, upright, _ = capture
-    (fruit,) = measured(picture, upright)
-    assert "looked" not in tube_features(fruit.measurements[MethodName.M6])
-    (seen,) = with_end_looks(picture, [fruit], Looker(COVERED, TRUE), models=MODELS)
-    assert tube_features(seen.measurements[MethodName.M6])["covered"] == 0.84
-
-
-def test_more_than_all_that_is_missing_has_a_limit() -> None:
-    lost = replace(COVERED, missing=(0.5, 0.6, 0.7, 0.8, 0.95))
-    assert np.isfinite(list(look_features((lost, lost)).values())).all()
 
 
 def test_places_are_four() -> None:

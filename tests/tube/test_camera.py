@@ -152,14 +152,6 @@ def test_what_leaves_the_picture_or_lies_behind_is_left_out() -> None:
     assert not align_depth_to_color(np.zeros((180, 320), np.float32), *args, (0, 0, 0)).any()
 
 
-def test_a_smaller_color_picture() -> None:
-    depth = np.full((180, 320), 0.7, np.float32)
-    half = np.array([[80.0, 0, 79.75], [0, 80, 44.75], [0, 0, 1]])
-    aligned = align_depth_to_color(depth, DEPTH_K, half, (160, 90), np.eye(3), (0, 0, 0))
-    assert aligned.shape == (90, 160)
-    assert (aligned == np.float32(0.7)).all()
-
-
 @pytest.mark.parametrize(
     ("model", "coefficients", "expected"),
     [

@@ -11,7 +11,6 @@ from cucumbervision.tube.shape import (
     depth_gate,
     natural_spline,
     points_along,
-    polyline_length,
     principal_axis,
 )
 
@@ -35,20 +34,6 @@ def test_a_repeated_vertex_changes_nothing() -> None:
     vertices = np.array([[0.0, 0, 0], [1.0, 1, 0], [2.0, 0, 0]])
     twice = vertices[[0, 1, 1, 2, 2]]
     assert natural_spline(twice)[0] == natural_spline(vertices)[0]
-
-
-def test_vertices_a_rounding_apart_are_one() -> None:
-    vertices = np.array([[0.0, 0, 0], [0.1, 0, 0], [0.1 + 1e-17, 1e-17, 0], [0.2, 0, 0]])
-    assert natural_spline(vertices)[0] == pytest.approx(0.2)
-
-
-def test_one_place_is_no_curve() -> None:
-    with pytest.raises(ValueError, match="two distinct vertices"):
-        natural_spline(np.ones((4, 3)))
-
-
-def test_polyline_of_one_vertex_has_no_length() -> None:
-    assert polyline_length(np.zeros((1, 3))) == 0.0
 
 
 def test_a_spline_through_three_points_by_hand() -> None:
@@ -99,11 +84,6 @@ def test_principal_axis_is_the_first_right_singular_vector() -> None:
     assert centroid == pytest.approx(cloud.mean(axis=0))
 
 
-def test_one_point_has_no_axis() -> None:
-    with pytest.raises(ValueError, match="1 points have no axis"):
-        principal_axis(np.zeros((1, 3)))
-
-
 def test_the_gate_keeps_its_own_border() -> None:
     z = np.array([0.25, 0.5, 0.75])
     points = np.stack([z, z, z], axis=1)
@@ -111,20 +91,11 @@ def test_the_gate_keeps_its_own_border() -> None:
     assert depth_gate(points, 0.2499)[:, 2].tolist() == [0.5]
 
 
-def test_an_empty_cloud_stays_empty() -> None:
-    assert depth_gate(np.empty((0, 3)), 0.035).shape == (0, 3)
-
-
 def test_bins_with_too_few_points_are_skipped() -> None:
     x = np.array([0.0, 0.1, 0.2, 5.0, 9.8, 9.9, 10.0])
     points = np.stack([x, 2 * x, 0 * x], axis=1)
     centroids = bin_centroids(points, x, bins=5, at_least=3)
     assert centroids == pytest.approx(np.array([[0.1, 0.2, 0.0], [9.9, 19.8, 0.0]]))
-
-
-def test_points_at_one_place_have_no_bins() -> None:
-    points = np.ones((9, 3))
-    assert bin_centroids(points, np.zeros(9), bins=5, at_least=1).shape == (0, 3)
 
 
 def test_positions_are_measured_from_the_centroid() -> None:

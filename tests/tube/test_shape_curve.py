@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.interpolate import CubicSpline
 
 from cucumbervision.tube.shape import (
     align_near,
@@ -61,18 +60,6 @@ def test_points_along_a_bent_line() -> None:
         [3, 0.5],
         [3, 1],
     ]
-
-
-@pytest.mark.parametrize("count", [2, 3, 9])
-def test_the_spline_is_scipys(count: int) -> None:
-    vertices = np.random.default_rng(count).normal(size=(count, 3))
-    parameter = arc_positions(vertices)
-    spline = CubicSpline(parameter / parameter[-1], vertices, bc_type="natural")
-    length_m, path_m = natural_spline(vertices, 500)
-    places = np.linspace(0, 1, 500)
-    np.testing.assert_allclose(path_m, spline(places), rtol=0, atol=1e-12)
-    speed = np.linalg.norm(spline(places, 1), axis=1)
-    assert length_m == pytest.approx(float(np.trapezoid(speed, places)), rel=1e-12)
 
 
 def test_principal_axis_is_the_first_right_singular_vector() -> None:

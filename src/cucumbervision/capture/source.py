@@ -6,7 +6,7 @@ import hashlib
 import re
 from bisect import bisect_left
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -65,6 +65,17 @@ class ReadOptions:
     burst: int = 5
     depth_along: DepthAlong | None = None
     aligned_to: Stream | None = None
+
+    def with_camera(self, camera: CameraFile | None) -> ReadOptions:
+        """Return the options with what a camera file says where the user does not."""
+        if camera is None:
+            return self
+        return replace(
+            self,
+            depth_unit_m=self.depth_unit_m or camera.depth_unit_m,
+            depth_along=self.depth_along or camera.depth_along,
+            aligned_to=self.aligned_to or camera.aligned_to,
+        )
 
     def __post_init__(self) -> None:
         if self.burst < 1 or (self.depth_unit_m is not None and not self.depth_unit_m > 0):

@@ -409,6 +409,8 @@ def natural_spline(
     >>> round(length, 4), round(0.2 * np.pi / 2, 4)
     (0.3142, 0.3142)
     """
+    from scipy.interpolate import CubicSpline
+
     step = np.linalg.norm(np.diff(vertices_m, axis=0), axis=1)
     apart = step > _COINCIDENT * step.sum()
     keep = np.concatenate(([True], apart))
@@ -417,51 +419,8 @@ def natural_spline(
         raise ValueError("a curve needs two distinct vertices")
     parameter = np.concatenate(([0.0], np.cumsum(step))) / step.sum()
     u = np.linspace(0.0, 1.0, samples)
-    path, velocity = _spline_at(parameter, vertices, u)
-    return float(np.trapezoid(np.linalg.norm(velocity, axis=1), u)), path
-
-
-def _spline_at(
-    knots: NDArray[np.float64], vertices: NDArray[np.float64], places: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    # Values and slopes of SciPy's natural CubicSpline; importing that and its linear algebra
-    # takes a fifth of the program's start.
-    gap = np.diff(knots)
-    chord = np.diff(vertices, axis=0) / gap[:, None]
-    above, below = np.r_[gap[0], gap[:-1]], np.r_[gap[1:], gap[-1]]
-    middle = 2 * np.r_[gap[0], gap[:-1] + gap[1:], gap[-1]]
-    right = 3 * np.concatenate(
-        [
-            vertices[1:2] - vertices[:1],
-            gap[1:, None] * chord[:-1] + gap[:-1, None] * chord[1:],
-            vertices[-1:] - vertices[-2:-1],
-        ]
-    )
-    slope = _solved(below, middle, above, right)
-    bow = (slope[:-1] + slope[1:] - 2 * chord) / gap[:, None]
-    cubic, square = bow / gap[:, None], (chord - slope[:-1]) / gap[:, None] - bow
-    piece = np.clip(np.searchsorted(knots, places, side="right") - 1, 0, len(gap) - 1)
-    t = (places - knots[piece])[:, None]
-    a, b, c, d = (part[piece] for part in (cubic, square, slope, vertices))
-    return d + c * t + b * (t * t) + a * (t * t * t), c + b * t * 2 + a * (t * t) * 3
-
-
-def _solved(
-    below: NDArray[np.float64],
-    middle: NDArray[np.float64],
-    above: NDArray[np.float64],
-    right: NDArray[np.float64],
-) -> NDArray[np.float64]:
-    """Solve a tridiagonal system whose diagonal outweighs the rest: no rows change places."""
-    pivots, answers = middle.tolist(), list(right)
-    for row, (lower, upper) in enumerate(zip(below.tolist(), above.tolist(), strict=True)):
-        factor = lower / pivots[row]
-        pivots[row + 1] -= factor * upper
-        answers[row + 1] = answers[row + 1] - factor * answers[row]
-    answers[-1] = answers[-1] / pivots[-1]
-    for row in range(len(above) - 1, -1, -1):
-        answers[row] = (answers[row] - above[row] * answers[row + 1]) / pivots[row]
-    return np.array(answers)
+    spline = CubicSpline(parameter, vertices, bc_type="natural")
+    return float(np.trapezoid(np.linalg.norm(spline(u, 1), axis=1), u)), spline(u)
 
 
 def arc_positions(centres_m: NDArray[Any]) -> NDArray[np.float64]:

@@ -141,8 +141,7 @@ def _load(
         scene_intrinsics,
         camera_file and replace(camera_file, depth_to_color=None),  # aligned by definition
         # BOP: depth_scale times the stored number is millimetres.
-        options.depth_unit_m or camera.depth_scale * 0.001,
-        options,
+        replace(options, depth_unit_m=options.depth_unit_m or camera.depth_scale * 0.001),
         source=files["rgb"][0],
         depth_source=files["depth"][0],
         name=name,

@@ -131,7 +131,6 @@ def frame_capture(
     read_raw: Callable[[], NDArray[Any]],
     frame_intrinsics: Intrinsics | None,
     camera_file: CameraFile | None,
-    unit_m: float | None,
     options: ReadOptions,
     *,
     source: Path,
@@ -155,10 +154,8 @@ def frame_capture(
         Intrinsics of the source.
     camera_file : CameraFile, optional
         Intrinsics given by the user.
-    unit_m : float, optional
-        Metres per depth step, if given by the user or the format.
     options : ReadOptions
-        The user's options for depth.
+        The user's options for depth, with the unit of the format.
     source, depth_source : Path
         The files, for error messages.
     depth_camera : Intrinsics, optional
@@ -174,13 +171,12 @@ def frame_capture(
         See `choose_intrinsics`.
     """
     height, width = color.shape[:2]
-    aligned_to = options.aligned_to or (camera_file.aligned_to if camera_file else None)
+    options = options.with_camera(camera_file)
+    aligned_to, along = options.aligned_to, options.depth_along
     intrinsics = choose_intrinsics(
         frame_intrinsics, camera_file, width, height, aligned_to=aligned_to, source=source
     )
-    unit_m = unit_m or (camera_file.depth_unit_m if camera_file else None)
-    depth_m = depth_to_metres(read_raw(), unit_m, source=depth_source)
-    along = options.depth_along or (camera_file.depth_along if camera_file else None)
+    depth_m = depth_to_metres(read_raw(), options.depth_unit_m, source=depth_source)
     camera = (camera_file.depth if camera_file else None) or depth_camera
     doubts: tuple[Doubt, ...] = ()
     if aligned_to is None and camera_file and camera and camera_file.depth_to_color:

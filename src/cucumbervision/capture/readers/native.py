@@ -125,6 +125,7 @@ def _load(
     name: str,
 ) -> Capture:
     unit_m = options.depth_unit_m or manifest.depth_unit_m
+    options = options.with_camera(camera_file)
     frames, pixels = [], 0
     for frame in manifest.frames:
         frames.append(_read_frame(folder, frame, unit_m))
@@ -149,11 +150,10 @@ def _load(
         camera_file,
         width,
         height,
-        aligned_to=options.aligned_to or (camera_file.aligned_to if camera_file else None),
+        aligned_to=options.aligned_to,
         source=folder / MANIFEST,
     )
-    along = options.depth_along or (camera_file.depth_along if camera_file else None)
-    if along is DepthAlong.RAY:
+    if options.depth_along is DepthAlong.RAY:
         fused = replace(fused, depth_m=depth_along_axis(fused.depth_m, intrinsics))
     require_readings(fused.depth_m, source=folder)
     frame_entry = manifest.frames[fused.burst_frame if len(frames) > 1 else 0]

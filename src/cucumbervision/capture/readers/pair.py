@@ -247,7 +247,6 @@ def _load(
         partial(read_depth, pair.depth),
         None,
         camera,
-        options.depth_unit_m,
         options,
         source=pair.color,
         depth_source=pair.depth,

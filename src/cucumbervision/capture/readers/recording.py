@@ -52,14 +52,13 @@ def open_recording(path: Path, options: ReadOptions) -> CaptureSource:
         If the file is not a recording with colour and depth.
     """
     camera_file = read_camera_file(options.intrinsics) if options.intrinsics else None
-    sources = (options,) if camera_file is None else (options, camera_file)
-    for source in sources:
-        if source.depth_along is DepthAlong.RAY or source.aligned_to is Stream.DEPTH:
-            raise CaptureError(
-                "a recording's depth is along the axis and is aligned to colour here",
-                source=path,
-                remedy="leave out --depth-along and --aligned-to",
-            )
+    stated = options.with_camera(camera_file)
+    if stated.depth_along is DepthAlong.RAY or stated.aligned_to is Stream.DEPTH:
+        raise CaptureError(
+            "a recording's depth is along the axis and is aligned to colour here",
+            source=path,
+            remedy="leave out --depth-along and --aligned-to",
+        )
     import_realsense()
     with _stream(path) as stream:
         frame_intrinsics, device = stream.intrinsics, stream.device

@@ -121,7 +121,6 @@ def _load(
         partial(_read_raw, raw_path, table),
         _read_metadata(own_path, Stream.COLOR).intrinsics if own_path.is_file() else None,
         camera_file,
-        options.depth_unit_m,
         options,
         source=raw_path,
         depth_source=raw_path,

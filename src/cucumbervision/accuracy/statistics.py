@@ -12,7 +12,7 @@ import numpy as np
 from cucumbervision.files import json_value
 
 if TYPE_CHECKING:
-    from collections.abc import Hashable, Sequence
+    from collections.abc import Hashable
 
     from numpy.typing import ArrayLike, NDArray
 

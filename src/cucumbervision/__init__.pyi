@@ -38,11 +38,11 @@ from .methods.traits import TraitValue as TraitValue
 from .methods.traits import TubeTraits as TubeTraits
 from .networks.find import open_segmenter as open_segmenter
 from .networks.yolo import YoloDetector as YoloDetector
-from .protocols import Detector as Detector
-from .protocols import Method as Method
-from .protocols import Reader as Reader
-from .protocols import Segmenter as Segmenter
-from .protocols import Trait as Trait
+from .plugins import Detector as Detector
+from .plugins import Method as Method
+from .plugins import Reader as Reader
+from .plugins import Segmenter as Segmenter
+from .plugins import Trait as Trait
 from .run.detect import detect_inputs as detect_inputs
 from .run.finders import dataset_instances as dataset_instances
 from .run.measurer import CaptureResult as CaptureResult

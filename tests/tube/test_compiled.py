@@ -15,37 +15,15 @@ from numpy.typing import NDArray
 from tests.tube.test_fit import surface, tangent_rays
 
 from cucumbervision.tube import compiled as tube_kernel
-from cucumbervision.tube.compiled import Contacts, Fit, call
-from cucumbervision.tube.evidence import (
-    BODY,
-    SHAPE,
-    Evidence,
-    Gaps,
-    depth_gaps,
-    ends_seen,
-    gaps,
-    gaps_of,
-    normal_equations,
-    point_readings,
-    ray_readings,
-)
-from cucumbervision.tube.fit import (
-    add_nuisance_prior,
-    add_shape_prior,
-    end_hold,
-    fit_shape,
-    guess_shape,
-    solve_held,
-    stepped,
-)
-from cucumbervision.tube.pixels import median_of
+from cucumbervision.tube.compiled import Fit, call
+from cucumbervision.tube.evidence import SHAPE, Evidence, gaps
+from cucumbervision.tube.fit import fit_shape, guess_shape
 from cucumbervision.tube.shape import TubeShape
 
 needs_kernel = pytest.mark.skipif(
     tube_kernel.library() is None, reason="the kernel is not compiled here"
 )
 RNG = np.random.default_rng(11)
-HOLD = np.array([1.5, 0.15])
 
 
 @contextmanager
@@ -92,112 +70,6 @@ def fit(evidence: Evidence, guess: TubeShape, nuisance: NDArray[np.float64]) -> 
 
 def assert_close(ours: object, theirs: object) -> None:
     np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-12)  # type: ignore[call-overload]
-
-
-def assert_same(ours: Gaps, theirs: Gaps) -> None:
-    for name in Gaps.__dataclass_fields__:
-        assert_close(getattr(ours, name), getattr(theirs, name))
-
-
-def lower(fit: Fit) -> NDArray[np.float64]:
-    size = fit.sums.size
-    return np.tril(fit.normal[:size, :size])
-
-
-@needs_kernel
-@pytest.mark.parametrize("count", [0, 1, 63, 65, 150])
-def test_gaps_of_points_and_rays(count: int, guess: TubeShape) -> None:
-    points = surface()[RNG.integers(0, 600, count)] * RNG.uniform(0.9, 1.2, (count, 1))
-    rays = points / np.linalg.norm(points, axis=1)[:, None]
-    far = np.linalg.norm(points, axis=1)
-    aside = rays + np.array([0.3, 0.0, 0.0])  # beside the body
-    for readings, is_rays in ((points, False), (rays, True), (aside, True)):
-        compiled = gaps(guess, readings, rays=is_rays)
-        with numpy_alone():
-            assert_same(compiled, gaps(guess, readings, rays=is_rays))
-    for readings in (rays, aside):
-        contacts, facing = depth_gaps(guess, readings, far)
-        with numpy_alone():
-            by_numpy, facing_by_numpy = depth_gaps(guess, readings, far)
-        assert_same(contacts, by_numpy)
-        assert_close(facing, facing_by_numpy)
-
-
-@needs_kernel
-def test_every_position_along_the_curve_has_its_four_control_points(fit: Fit) -> None:
-    # At every third of the widths' segments begins one of the curve's.
-    bend, width = (fit.bases.arrays[k].reshape(1025, -1) for k in (2, 3))
-    for index in range(1025):
-        segment = min(index * 12 // 1024, 11)
-        assert bend[index, segment // 3 : segment // 3 + 4].sum() == pytest.approx(1)
-        assert width[index, segment : segment + 4].sum() == pytest.approx(1)
-
-
-@needs_kernel
-def test_readings(
-    fit: Fit, evidence: Evidence, guess: TubeShape, nuisance: NDArray[np.float64]
-) -> None:
-    with numpy_alone():
-        points = point_readings(evidence, guess, nuisance)
-        rays = ray_readings(evidence, guess, nuisance[:3])
-    for compiled, by_numpy in ((fit.points, points), (fit.rays, rays)):
-        assert_same(gaps_of(compiled), by_numpy.contacts)
-        assert_close(compiled.sd_m, by_numpy.sd_m)
-
-
-@needs_kernel
-@pytest.mark.parametrize("scale", [1.0, 16.0])
-def test_normal_equations_with_their_priors(
-    scale: float, fit: Fit, evidence: Evidence, guess: TubeShape, nuisance: NDArray[np.float64]
-) -> None:
-    with numpy_alone():
-        points = point_readings(evidence, guess, nuisance)
-        rays = ray_readings(evidence, guess, nuisance[:3])
-    scatter = np.array([0.8, 1.7])
-    normal, target = normal_equations((points, rays), (0.5, 0.5), (0.8, 1.7), scale)
-    call("normal_equations", fit.bases, fit.seen, *fit.readings, scatter, scale, fit.sums)
-    largest = np.abs(normal).max()
-    assert_close(lower(fit) / largest, np.tril(normal) / largest)
-    assert_close(fit.target[: len(target)], target)
-    anchors = guess.balls(2)[0].copy()
-    add_shape_prior(normal, target, guess, anchors + 0.01, HOLD)
-    add_nuisance_prior(normal, target, nuisance, evidence)
-    call("add_shape_prior", fit.bases, fit.shape, anchors + 0.01, HOLD, fit.sums)
-    call("add_nuisance_prior", fit.seen, fit.nuisance, fit.sums)
-    assert_close(lower(fit) / largest, np.tril(normal) / largest)
-    assert_close(fit.target[: len(target)] / largest, target / largest)
-    move = solve_held(normal, target, BODY)
-    assert call("solve_held", fit.sums) == 1
-    np.testing.assert_allclose(fit.target[: len(move)], move, rtol=1e-6, atol=1e-9)
-    after, taken = stepped(guess, move, BODY)
-    call("stepped", fit.shape, fit.target, len(move))
-    np.testing.assert_allclose(fit.bend_m, after.bend_m, atol=1e-9)
-    np.testing.assert_allclose(fit.width_m, after.width_m, atol=1e-9)
-    np.testing.assert_allclose(fit.target[: len(move)], taken, rtol=1e-6, atol=1e-9)
-
-
-@needs_kernel
-def test_ends_and_how_they_are_held(fit: Fit, evidence: Evidence, guess: TubeShape) -> None:
-    seen, hold = np.zeros(2, np.int64), np.zeros(2)
-    given = (fit.bases, fit.shape, len(evidence.rays), evidence.rays, fit.readings[1])
-    call("ends_seen", *given, seen)
-    assert tuple(map(bool, seen)) == ends_seen(guess, gaps_of(fit.rays), evidence.rays)
-    for visible in ((True, False), (False, True)):
-        call("end_hold", np.array(visible, np.int64), hold)
-        assert hold.tolist() == end_hold(visible).tolist()
-
-
-@needs_kernel
-@pytest.mark.parametrize("count", [1, 2, 3, 15, 500, 501])
-def test_median_scatter_and_misfit(count: int) -> None:
-    contacts = Contacts.empty(count)
-    contacts.gap_m[:], contacts.sd_m[:] = RNG.standard_normal(count), 0.5
-    contacts.gap_m[: count // 3] = 1.0  # many are alike
-    sums = np.abs(contacts.gap_m / 0.5)
-    scatter = call("scatter", contacts.struct, count, 0.1, 9.0)
-    assert scatter == pytest.approx(min(max(1.4826 * median_of(sums), 0.1), 9.0), rel=1e-12)
-    misfit = call("misfit", contacts.struct, count, 0.25)
-    assert misfit == pytest.approx(0.25 * (np.minimum(sums, 5.0) ** 2).sum(), rel=1e-12)
 
 
 @needs_kernel

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import math
 from dataclasses import replace
 from pathlib import Path
 from statistics import fmean
@@ -328,10 +327,7 @@ def _reading(view: FruitRow, reported: FruitRow) -> Reading:
         lengths_m={**measured, REPORTED: reported.length_m},
         fell_back=frozenset(fell_back),
         kind="" if view.length is None else str(view.length.kind),
-        method=view.method or "",
         mask_source=view.mask_source or "",
-        distance_m=_or_nan(view.distance_m),
-        fill=_or_nan(view.fill),
         flags=view.flags,
     )
 
@@ -456,10 +452,6 @@ def _cell_m(line: Line, name: str, path: Path) -> float | None:
             cell=cell,
         )
     return value_cm / 100
-
-
-def _or_nan(value: float | None) -> float:
-    return math.nan if value is None else value
 
 
 def typed_m(cell: str, units: Units) -> float | None:

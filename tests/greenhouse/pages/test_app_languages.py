@@ -36,7 +36,7 @@ def texts(test: AppTest) -> set[str]:
 @pytest.mark.parametrize("code", sorted(language.DRAFTS))
 def test_nothing_of_a_page_is_left_in_english(code: str, page: str, house: Path) -> None:
     english = set(language.catalogue(code)._catalog) - SAME  # type: ignore[attr-defined]
-    opened = dict.fromkeys(("filters", "files", "stops"), True)
+    opened: dict[str, Any] = dict.fromkeys(("filters", "files", "stops"), True)
     drawn = texts(app(page, round=WALK, **opened))
     assert english & drawn  # in English they are those of the catalogue
     resources.change_settings(language=code)

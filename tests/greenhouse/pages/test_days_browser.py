@@ -20,6 +20,8 @@ import pytest
 
 pytest.importorskip("streamlit")
 
+from tests.greenhouse.conftest import PATIENCE_S
+
 from cucumbervision.capture.source import example_captures
 from cucumbervision_greenhouse.store.repository import open_store
 
@@ -70,6 +72,18 @@ def upload(page: Any, packed: Path) -> None:
     page.get_by_text("3 captures saved").wait_for()
 
 
+def wait_for_fruit(store: Path, name: str, number: int) -> None:
+    """Wait until a round's captures are measured, and its views merged."""
+    until = time.monotonic() + PATIENCE_S
+    while time.monotonic() < until:
+        with open_store(store) as opened:
+            key = next(x.key for x in opened.rounds() if x.name == name)
+            if sum(view.best for view in opened.detections(key)) == number:
+                return
+        time.sleep(0.3)
+    raise AssertionError(f"{name}: not {number} fruit")
+
+
 def metrics(page: Any) -> dict[str, str]:
     drawn = page.get_by_test_id("stMetric")
     drawn.first.wait_for()
@@ -106,6 +120,7 @@ def test_two_days_from_upload_to_export(
     # The first day: upload, and pick a fruit.
     begin_round(page, "Monday")
     upload(page, monday)
+    wait_for_fruit(store, "Monday", 8)
     page.get_by_role("link", name="Days").first.click()
     page.get_by_text("Nothing to compare yet").wait_for()
     page.get_by_role("link", name="Today").first.click()
@@ -115,8 +130,11 @@ def test_two_days_from_upload_to_export(
     # The second day: the links between the days are made by themselves.
     begin_round(page, "Tuesday")
     upload(page, tuesday)
+    wait_for_fruit(store, "Tuesday", 7)
     page.get_by_role("link", name="Days").first.click()
     page.get_by_text("Compare with").wait_for()
+    page.get_by_test_id("stMetricValue").filter(has_text=re.compile("^7$")).first.wait_for()
+    page.locator("[data-test-script-state=notRunning]").wait_for()
     shot(page, "compare")
     told = metrics(page)
     with open_store(store) as opened:

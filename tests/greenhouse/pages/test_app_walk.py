@@ -150,7 +150,7 @@ def test_a_day_from_the_start_page_to_the_pick_list(
 
     # Count: the least certain fruit is one, and that is undone.
     tablet.goto(f"{address}/map")
-    tablet.get_by_text(re.compile(r"fruit found| real \(")).first.wait_for()
+    tablet.get_by_text("One mark per fruit").wait_for()
     tablet.get_by_role("button", name="Show the least certain").tap()
     tablet.get_by_role("button", name="This is a fruit").tap()
     tablet.get_by_text("Marked: a fruit.").wait_for()

@@ -133,12 +133,3 @@ def test_two_calibrations_of_one_name_and_second_are_two(
     assert len(saved_calibrations(tmp_path / "truth")) == 20
     with pytest.raises(CalibrationError, match="cannot be written"):
         save_calibration(next((tmp_path / "truth").iterdir()), grid_site)
-
-
-@pytest.mark.parametrize("chosen", ["nothing.json", "x" * 5000])
-def test_a_calibration_that_is_no_file_is_listed_with_its_fault(
-    chosen: str, tmp_path: Path
-) -> None:
-    [calibration] = saved_calibrations(tmp_path / "truth", chosen)
-    assert calibration.site is None
-    assert calibration.fault

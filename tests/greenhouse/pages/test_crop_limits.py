@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from cucumbervision.crop.profiles import load_profile, profiles
-from cucumbervision.errors import CucumberVisionError, NameRefusedError, ProfileError
+from cucumbervision.errors import NameRefusedError, ProfileError
 from cucumbervision_greenhouse.pages.crop import CropLimits, class_counts, save_own_profile
 from cucumbervision_greenhouse.rounds.from_store import read_round
 from cucumbervision_greenhouse.store.records import key_of
@@ -112,12 +112,3 @@ def test_limits_that_another_viewer_changed_are_not_overwritten(
     with pytest.raises(ProfileError, match="changed again since"):
         save_own_profile(second, drawn)
     save_own_profile(second, first)
-
-
-def test_a_crop_that_cannot_be_written_is_a_fault_in_words(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "file").write_text("")
-    monkeypatch.setenv("CUCUMBERVISION_PROFILES", str(tmp_path / "file"))
-    with pytest.raises(CucumberVisionError, match="cannot be written"):
-        save_own_profile(LIMITS.applied_to(CUCUMBER, "ours"))

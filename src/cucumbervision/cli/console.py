@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from cucumbervision.accuracy import table
+    from cucumbervision.accuracy import statistics
     from cucumbervision.crop.profiles import CropProfile
     from cucumbervision.run.detect import DetectResult
     from cucumbervision.run.measurer import Failure
@@ -76,7 +76,7 @@ def columns_table(title: str | None, text_columns: Sequence[str], *right: str) -
     return table
 
 
-def print_table(console: Console, figures: table.ReportTable) -> None:
+def print_table(console: Console, figures: statistics.ReportTable) -> None:
     """Print a report's table, and its comment below."""
     printed = Table(title=figures.title, title_justify="left")
     for column, numeric in zip(figures.columns, figures.numeric, strict=True):

@@ -104,10 +104,9 @@ class FlagMeaning:
 def _read_flags() -> dict[Flag, FlagMeaning]:
     text = Path(__file__).with_name("flags.csv").read_text(encoding="utf-8")
     flags = {}
-    for line in csv.DictReader(text.splitlines()):
-        code, effect, shows_less = (line.pop(name) for name in ("code", "effect", "shows_less"))
+    for code, effect, shows_less, meaning, *texts in list(csv.reader(text.splitlines()))[1:]:
         effects = Effect(effect or "none"), bool(shows_less)
-        flags[Flag(code)] = FlagMeaning(line.pop("meaning"), *effects, **line)
+        flags[Flag(code)] = FlagMeaning(meaning, *effects, *texts)
     return flags
 
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from cucumbervision.errors import ModelError, ModelHashError, UnknownModelError
+from cucumbervision.errors import ModelError, ModelHashError
 from cucumbervision.networks.find import open_segmenter
 from cucumbervision.networks.registry import Registry, load_registry, models_folder
 from cucumbervision.networks.runtime import open_network
@@ -76,11 +76,6 @@ def test_the_default_of_a_task_is_embedded(registry: Registry) -> None:
     assert default.name == "inside"
     assert registry.default("pose") is None
     assert registry.default("prompted-mask") is None  # there is one, but it is not here
-
-
-def test_unknown_name_lists_the_known(registry: Registry) -> None:
-    with pytest.raises(UnknownModelError, match="'sam'; choose one of inside, outside"):
-        registry.resolve("sam")
 
 
 def test_a_changed_byte_is_found(registry: Registry, tmp_path: Path) -> None:

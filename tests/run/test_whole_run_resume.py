@@ -21,8 +21,9 @@ from cucumbervision.capture.source import ReadOptions, example_captures
 from cucumbervision.errors import CaptureError
 from cucumbervision.methods.result import MethodName
 from cucumbervision.run.batch import Outcome
+from cucumbervision.run.folder import CaptureRecord
 from cucumbervision.run.options import MeasureOptions
-from cucumbervision.run.whole_run import BatchOptions, CaptureRecord, RunResult, measure_inputs
+from cucumbervision.run.whole_run import BatchOptions, RunResult, measure_inputs
 
 NAMES = ("simulated-bench", "simulated-row-a", "simulated-row-b")
 OPTIONS = MeasureOptions(instances="dataset", methods=(MethodName.M1,))

@@ -55,11 +55,11 @@ def draw_overlay(capture: Capture, fruit: Sequence[Fruit]) -> NDArray[np.uint8]:
         color = COLORS[(number - 1) % len(COLORS)]
         if measured.mask is None:
             x1, y1, x2, y2 = (round(float(x)) for x in measured.instance.box)
-            thick = max(1, round(2 * size))
-            cv2.rectangle(picture, (x1, y1), (x2, y2), color, thick, cv2.LINE_AA)
+            cv2.rectangle(picture, (x1, y1), (x2, y2), color, max(1, round(2 * size)), cv2.LINE_AA)
         else:
             _tint_mask(picture, measured.mask, color, size)
-        points = measured.selected and path_px(measured.selected.path_m, capture.intrinsics)
+        path_m = None if measured.selected is None else measured.selected.path_m
+        points = path_px(path_m, capture.intrinsics)
         if points is not None:
             _draw_line(picture, points, color, size)
     for number, measured in enumerate(fruit, start=1):

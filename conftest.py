@@ -11,9 +11,7 @@ import numpy as np
 import pytest
 
 # The pages import Streamlit as they load, so that without it there is nothing to collect.
-collect_ignore_glob = (
-    [] if find_spec("streamlit") else ["src/cucumbervision_greenhouse/pages/*"]
-)
+collect_ignore_glob = [] if find_spec("streamlit") else ["src/cucumbervision_greenhouse/pages/*"]
 # The examples of these files compute with torch.
 _WITH_TORCH = ["src/cucumbervision_lab/train/losses.py"]
 if not find_spec("torch"):

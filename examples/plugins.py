@@ -41,7 +41,6 @@ if TYPE_CHECKING:
     from cucumbervision.capture.source import CaptureLister, Folder, ReadOptions
 
 
-
 class RtDetr:
     """An RT-DETR as Transformers exports it: `logits` (1, Q, C) and `pred_boxes` (1, Q, 4).
 
@@ -57,7 +56,9 @@ class RtDetr:
     def __call__(self, capture: Capture, /) -> list[Instance]:
         """Return the fruit of a capture, by their boxes."""
         small = cv2.resize(capture.color, (640, 640), interpolation=cv2.INTER_AREA)
-        feeds = {self._session.get_inputs()[0].name: small.transpose(2, 0, 1)[None] / np.float32(255)}
+        feeds = {
+            self._session.get_inputs()[0].name: small.transpose(2, 0, 1)[None] / np.float32(255)
+        }
         logits, boxes = self._session.run(["logits", "pred_boxes"], feeds)
         scores = 1 / (1 + np.exp(-logits[0, :, self._class_id].astype(np.float64)))
         size = np.array([capture.width, capture.height] * 2)

@@ -109,7 +109,7 @@ def simulate_house(settings: HouseSettings, seed: int) -> SimulatedHouse:
     for day in range(s.days):
         lengths[day + 1] = lengths[day] + _increment(s, rate, lengths[day], rng)
     for day in range(0, min(s.visits), -1):
-        lengths[day - 1] = lengths[day] - _increment(s, rate, lengths[day], rng)
+        lengths[day - 1] = lengths[day] - _increment(s, rate, lengths[day], rng, -1)
     scale = np.exp(s.scale_sd * rng.standard_normal())
     rounds = {day: _measured(s, lengths[day], float(scale), rng) for day in s.visits}
     fruit, of_fruit = _states(s, rounds[0], row, rng)
@@ -122,10 +122,13 @@ def _increment(
     rate: NDArray[np.float64],
     length: NDArray[np.float64],
     rng: np.random.Generator,
+    direction: int = 1,
 ) -> NDArray[np.float64]:
     luck = s.spreads.fruit_day * rng.standard_normal(len(rate))
     step = np.maximum(rate + s.spreads.day * rng.standard_normal() + luck, 0.0)
-    return np.asarray(step * rate_share(length, s.full_m), np.float64)
+    # The day's growth at the length of its middle, forwards and backwards alike.
+    middle = length + direction * step * rate_share(length, s.full_m) / 2
+    return np.asarray(step * rate_share(middle, s.full_m), np.float64)
 
 
 def _measured(

@@ -349,16 +349,11 @@ def _counts(
         # Jitter by half a fruit: the whole numbers in the interval then cover `level` on average,
         # where plain quantiles of small counts would cover far more.
         jitter = rng.uniform(-0.5, 0.5, (counts.shape[-2], *counts.shape[:-2], counts.shape[-1]))
-        spread = counts + np.moveaxis(
-            jitter, 0, -2
-        )  # today first, independent of the number of days
-        low_count, high_count = np.quantile(spread, ends, axis=0)
+        # Today first: it is independent of the number of days.
+        low_count, high_count = np.quantile(counts + np.moveaxis(jitter, 0, -2), ends, axis=0)
         mean = counts.mean(axis=0)
-        # Round to whole numbers around the mean.
-        low_count, high_count = (
-            np.minimum(np.ceil(low_count), np.floor(mean)),
-            np.maximum(high_count, mean),
-        )
+        # Whole numbers around the mean.
+        low_count = np.minimum(np.ceil(low_count), np.floor(mean))
         high_count = np.maximum(np.floor(high_count), np.ceil(mean))
         house_and_rows.append(Counts(mean, low_count + 0.0, high_count))
     return house_and_rows[0], house_and_rows[1]

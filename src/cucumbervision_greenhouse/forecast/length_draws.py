@@ -9,6 +9,7 @@ import numpy as np
 
 from cucumbervision_greenhouse.forecast.growth import (
     LineSums,
+    length_of,
     links_by_fruit,
     measured_points,
     rate_share,
@@ -19,7 +20,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from cucumbervision_greenhouse.forecast.growth import Growth
+    from cucumbervision_greenhouse.forecast.growth import Curve, Growth, Spreads
+
+_EXACT_M = 1e-6  # standard deviation of a length that is known
 
 
 @dataclass(frozen=True)
@@ -67,35 +70,35 @@ class FruitState:
 
 @dataclass(frozen=True, eq=False)
 class FruitLines:
-    """The posterior of N fruit's last length and growth, given the growth g of their rows.
+    """The posterior of N fruit's last stage and growth, given the growth g of their house.
 
     Parameters
     ----------
     day : ndarray of float64, shape (N,)
         Of the last length.
-    length_m, growth_m : ndarray of float64, shape (2, N)
+    stage_m, growth_m : ndarray of float64, shape (2, N)
         Means: the first line plus the second times g; metres, metres a day.
     covariance : ndarray of float64, shape (3, N)
-        Variance of the length, covariance, variance of the growth.
-    row_growth_m, row_weight : ndarray of float64, shape (N,)
-        Measured growth of each fruit's row, and its weight against the house's pace; 0 without.
+        Variance of the stage, covariance, variance of the growth.
     """
 
     day: NDArray[np.float64]
-    length_m: NDArray[np.float64]
+    stage_m: NDArray[np.float64]
     growth_m: NDArray[np.float64]
     covariance: NDArray[np.float64]
-    row_growth_m: NDArray[np.float64]
-    row_weight: NDArray[np.float64]
 
 
-def fruit_lines(fruit: Sequence[FruitState], growth: Growth, scale_sd: float) -> FruitLines:
-    """Return the line of each fruit through its lengths, its slope pooled with its row's growth.
+def fruit_lines(
+    fruit: Sequence[FruitState], growth: Growth, curve: Curve, scale_sd: float
+) -> FruitLines:
+    """Return the line of each fruit through its stages, its slope pooled with the house's growth.
 
     Parameters
     ----------
     fruit, growth, scale_sd
         As `draw_lengths` takes them.
+    curve : Curve
+        One of the growth's.
     """
     links = links_by_fruit(growth.links)
     histories = []
@@ -104,21 +107,18 @@ def fruit_lines(fruit: Sequence[FruitState], growth: Growth, scale_sd: float) ->
         past = measured_points(links[state.fruit_id]) if state.fruit_id in links else []
         last = (state.day, state.length_m, alone_var**0.5)
         histories.append([*(point for point in past if point[0] < state.day), last])
-    sums = LineSums.of(histories, growth.prior)
-    # The row's growth is one more measurement of the slope.
-    pull = growth.fruit_sd_m**-2
+    sums = LineSums.of(histories, growth.prior.spreads, curve.full_m)
+    # The house's growth is one more measurement of the slope.
+    pull = curve.fruit_sd_m**-2
     day_day = sums.day_day + pull
     determinant = sums.weight * day_day - sums.day**2
-    length_m = day_day * sums.length - sums.day * sums.day_length, -pull * sums.day
-    growth_m = sums.weight * sums.day_length - sums.day * sums.length, pull * sums.weight
-    rows = np.array([growth.rows.get(state.row, (0.0, 0.0)) for state in fruit]).reshape(-1, 2)
+    stage_m = day_day * sums.stage - sums.day * sums.day_stage, -pull * sums.day
+    growth_m = sums.weight * sums.day_stage - sums.day * sums.stage, pull * sums.weight
     return FruitLines(
         day=np.array([state.day for state in fruit], np.float64),
-        length_m=np.array(length_m) / determinant,
+        stage_m=np.array(stage_m) / determinant,
         growth_m=np.array(growth_m) / determinant,
         covariance=np.array([day_day, -sums.day, sums.weight]) / determinant,
-        row_growth_m=rows[:, 0],
-        row_weight=rows[:, 1],
     )
 
 
@@ -126,20 +126,21 @@ def lengths_today(
     fruit: Sequence[FruitState], growth: Growth, today: float, scale_sd: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the mean and standard deviation of each length today, metres, (N,)."""
-    lines, prior = fruit_lines(fruit, growth, scale_sd), growth.prior
-    days = (today - lines.day) * rate_share(lines.length_m[0], prior.full_m)
-    pull = growth.pace_m + lines.row_weight * (lines.row_growth_m - growth.pace_m)
-    # The derivatives of the length by the row's growth and by the house's pace.
-    by_row = lines.length_m[1] + days * lines.growth_m[1]
-    by_pace = by_row * (1 - lines.row_weight) + days * (growth.lasting - 1)
-    mean_m = lines.length_m[0] + by_row * pull
-    mean_m += days * (lines.growth_m[0] + growth.mean_m - growth.pace_m)
-    of_length, shared, of_growth = lines.covariance
-    daily = prior.spreads.day**2 + prior.spreads.fruit_day**2
-    variance = of_length + 2 * days * shared + days**2 * of_growth + days * daily
-    variance += by_row**2 * prior.spreads.row**2 * (1 - lines.row_weight)
-    variance += (by_pace * growth.pace_sd_m) ** 2 + (days * growth.lasting_sd_m) ** 2
-    return mean_m, np.sqrt(variance + (scale_sd * mean_m) ** 2)
+    spreads = growth.prior.spreads
+    mean_m, squares = np.zeros((2, len(fruit)))
+    for curve in growth.curves:
+        lines = fruit_lines(fruit, growth, curve, scale_sd)
+        days = today - lines.day
+        by_house = lines.stage_m[1] + days * lines.growth_m[1]
+        stage_m = lines.stage_m[0] + days * lines.growth_m[0] + by_house * curve.mean_m
+        of_stage, shared, of_growth = lines.covariance
+        variance = of_stage + 2 * days * shared + days**2 * of_growth
+        variance += days * (spreads.day**2 + spreads.fruit_day**2) + (by_house * curve.sd_m) ** 2
+        length_m = length_of(stage_m, curve.full_m)
+        variance *= rate_share(length_m, curve.full_m) ** 2
+        mean_m += curve.weight * length_m
+        squares += curve.weight * (length_m**2 + variance)
+    return mean_m, np.sqrt(squares - mean_m**2 + (scale_sd * mean_m) ** 2)
 
 
 def draw_lengths(
@@ -176,67 +177,46 @@ def draw_lengths(
     lengths_m : ndarray of float32, shape (days + 1, draws, N)
         Of the fruit.
     newcomer_m : ndarray of float32, shape (days + 1, draws)
-        Of a newcomer in a row without links.
+        Of a newcomer.
     """
-    lines, spreads = fruit_lines(fruit, growth, scale_sd), growth.prior.spreads
+    spreads, drawn = growth.prior.spreads, []
+    hanging = [*fruit, FruitState("", "", 0.0, shortest_m, _EXACT_M, today)]
+    gap = np.array([today - state.day for state in hanging], np.float32)
+    ends = np.round(draws * np.cumsum([0.0, *(c.weight for c in growth.curves)])).astype(int)
     [later] = rng.spawn(1)  # today's draws do not depend on the number of days
-    length_m, growth_m, newcomer_growth_m = _drawn_lines(fruit, lines, growth, draws, rng)
-    length_m = np.pad(length_m, ((0, 0), (0, 1)), constant_values=shortest_m)
-    growth_m = np.column_stack([growth_m, newcomer_growth_m.astype(np.float32)])
-
-    def grow(start_m: NDArray[np.float32], elapsed: NDArray[np.float32]) -> NDArray[np.float32]:
-        step = later.standard_normal(start_m.shape, np.float32)
-        step *= np.float32(spreads.fruit_day)
-        step += (spreads.day * later.standard_normal((draws, 1))).astype(np.float32)
-        step *= np.sqrt(elapsed)
-        step += elapsed * growth_m
-        np.maximum(step, 0, out=step)
-        if np.isfinite(growth.prior.full_m):
-            step *= rate_share(start_m, growth.prior.full_m).astype(np.float32)
-        step += start_m
-        return step
-
-    gap = (today - np.append(lines.day, today)).astype(np.float32)
-    lengths_m = np.empty((days + 1, *length_m.shape), np.float32)
-    lengths_m[0] = grow(length_m, gap) if gap.any() else length_m
-    for day in range(days):
-        lengths_m[day + 1] = grow(lengths_m[day], np.ones(1, np.float32))
+    for curve, count in zip(growth.curves, np.diff(ends).tolist(), strict=True):
+        lines = fruit_lines(hanging, growth, curve, scale_sd)
+        of_stage, shared, of_growth = lines.covariance
+        root = np.array([of_stage, shared, np.zeros_like(shared)]) / np.sqrt(of_stage)
+        root[2] = np.sqrt(np.maximum(of_growth - root[1] ** 2, 0.0))
+        stage, slope, sd = (
+            part.astype(np.float32) for part in (lines.stage_m, lines.growth_m, root)
+        )
+        house_m = curve.mean_m + curve.sd_m * rng.standard_normal((count, 1), np.float32)
+        first, second = rng.standard_normal((2, count, len(hanging)), np.float32)
+        stages_m = np.empty((days + 1, count, len(hanging)), np.float32)
+        stages_m[0] = stage[0] + stage[1] * house_m + sd[0] * first
+        growth_m = slope[0] + slope[1] * house_m + sd[1] * first + sd[2] * second
+        if gap.any():
+            stages_m[0] += _step(growth_m, gap, spreads, later)
+        for day in range(days):
+            stages_m[day + 1] = stages_m[day] + _step(growth_m, np.float32(1), spreads, later)
+        drawn.append(length_of(stages_m, curve.full_m))
+    lengths_m = np.concatenate(drawn, axis=1)
     lengths_m *= np.exp(scale_sd * rng.standard_normal((draws, 1))).astype(np.float32)
     return lengths_m[..., :-1], lengths_m[..., -1]
 
 
-def _drawn_lines(
-    fruit: Sequence[FruitState],
-    lines: FruitLines,
-    growth: Growth,
-    draws: int,
+def _step(
+    growth_m: NDArray[np.float32],
+    days: NDArray[np.float32] | np.float32,
+    spreads: Spreads,
     rng: np.random.Generator,
-) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]]:
-    """Draw each fruit's last length and growth, (draws, N), and the growth of a newcomer."""
-    spreads, prior = growth.prior.spreads, growth.prior
-    names = list(dict.fromkeys(state.row for state in fruit))
-    row = np.array([names.index(state.row) for state in fruit], np.intp)
-    pace_m = growth.pace_m + growth.pace_sd_m * rng.standard_normal(draws)
-    house_m = prior.mean_m + growth.lasting * (pace_m - prior.mean_m)
-    house_m += growth.lasting_sd_m * rng.standard_normal(draws)
-    row_sd_m = (spreads.row * np.sqrt(1 - lines.row_weight)).astype(np.float32)
-    row_luck = rng.standard_normal((draws, len(names)), np.float32)[:, row]
-    row_m = pace_m.astype(np.float32)[:, None] * (1 - lines.row_weight).astype(np.float32)
-    row_m += (lines.row_weight * lines.row_growth_m).astype(np.float32) + row_sd_m * row_luck
-    length, slope, cov = (
-        part.astype(np.float32) for part in (lines.length_m, lines.growth_m, _root(lines))
-    )
-    first, second = rng.standard_normal((2, *row_m.shape), np.float32)
-    length_m = length[0] + length[1] * row_m + cov[0] * first
-    growth_m = slope[0] + slope[1] * row_m + cov[1] * first + cov[2] * second
-    growth_m += (house_m - pace_m).astype(np.float32)[:, None]
-    newcomer_sd_m = np.hypot(spreads.row, growth.fruit_sd_m)
-    return length_m, growth_m, house_m + newcomer_sd_m * rng.standard_normal(draws)
-
-
-def _root(lines: FruitLines) -> NDArray[np.float64]:
-    """Return the Cholesky factor of each fruit's covariance: its three figures, shape (3, N)."""
-    of_length, shared, of_growth = lines.covariance
-    sd_m = np.sqrt(of_length)
-    shared = shared / sd_m
-    return np.array([sd_m, shared, np.sqrt(np.maximum(of_growth - shared**2, 0.0))])
+) -> NDArray[np.float32]:
+    """Draw how far fruit come in some days, (draws, N): never back."""
+    step = rng.standard_normal(growth_m.shape, np.float32)
+    step *= np.float32(spreads.fruit_day)
+    step += (spreads.day * rng.standard_normal((len(step), 1))).astype(np.float32)
+    step *= np.sqrt(days)
+    step += days * growth_m
+    return np.maximum(step, 0, out=step)

@@ -13,7 +13,7 @@ from cucumbervision_greenhouse.forecast.growth import GrowthPrior, Link, Spreads
 from cucumbervision_greenhouse.forecast.length_draws import FruitState
 
 LONG = load_profile("long-cucumber")
-PRIOR = GrowthPrior.of(LONG)
+PRIOR = replace(GrowthPrior.of(LONG), full_m=(np.inf,))
 UNSEEN = fit_growth([], PRIOR)
 TINY = 1e-9
 # Growth of exactly 3 cm a day, but for what a test makes uncertain.

@@ -1,11 +1,16 @@
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from cucumbervision_greenhouse.forecast.growth import Growth, GrowthPrior, Link, Spreads, fit_growth
+from cucumbervision_greenhouse.forecast.growth import (
+    Curve,
+    Growth,
+    GrowthPrior,
+    Link,
+    Spreads,
+    fit_growth,
+)
 from cucumbervision_greenhouse.forecast.length_draws import (
     FruitState,
     draw_lengths,
@@ -17,17 +22,9 @@ SPREADS = Spreads(0.008, 0.002, 0.005, 0.003, 0.003)
 PRIOR = GrowthPrior(0.03, SPREADS, shortest_m=0.05)
 
 
-def known(pace_m: float, links: tuple[Link, ...] = ()) -> Growth:
-    """Return a house whose growth is known, and lasts."""
-    return Growth(
-        prior=PRIOR,
-        links=links,
-        pace_m=pace_m,
-        pace_sd_m=0.0,
-        lasting=1.0,
-        lasting_sd_m=0.0,
-        fruit_sd_m=0.005,
-    )
+def known(mean_m: float, links: tuple[Link, ...] = ()) -> Growth:
+    """Return a house whose growth is known."""
+    return Growth(PRIOR, links, (Curve(np.inf, mean_m, 0.0, 0.005),))
 
 
 def drawn(fruit: list[FruitState], growth: Growth, today: float, days: int = 7) -> np.ndarray:
@@ -36,34 +33,32 @@ def drawn(fruit: list[FruitState], growth: Growth, today: float, days: int = 7) 
 
 
 def test_line_is_the_joint_normal_posterior() -> None:
-    """Held against the normal equations of a length and a growth, with the row as a measurement."""
+    """Held against the normal equations of a length and a growth, the house a measurement."""
     days, sd_m = np.array([0.0, 2.0, 3.0]), np.array([0.004, 0.005, 0.006])
-    lengths_m, row_m = np.array([0.15, 0.20, 0.245]), 0.035
+    lengths_m, house_m = np.array([0.15, 0.20, 0.245]), 0.035
     links = (
         Link("a", "1", 0.0, 0.15, 0.004, 2.0, 0.20, 0.005),
         Link("a", "1", 2.0, 0.20, 0.005, 3.0, 0.245, 0.006),
     )
-    lines = fruit_lines([FruitState("a", "1", 0.0, 0.245, 0.006, 3.0)], known(0.03, links), 0.0)
+    growth = known(0.03, links)
+    fruit = [FruitState("a", "1", 0.0, 0.245, 0.006, 3.0)]
+    lines = fruit_lines(fruit, growth, growth.curves[0], 0.0)
     design = np.array([[1, -3], [1, -1], [1, 0], [0, 1]])
     daily = 0.003**2 + 0.003**2
     precision = np.diag(1 / np.array([*(sd_m**2 + daily * (3 - days)), 0.005**2]))
     covariance = np.linalg.inv(design.T @ precision @ design)
-    mean = covariance @ design.T @ precision @ np.array([*lengths_m, row_m])
-    assert lines.length_m[0, 0] + lines.length_m[1, 0] * row_m == pytest.approx(mean[0])
-    assert lines.growth_m[0, 0] + lines.growth_m[1, 0] * row_m == pytest.approx(mean[1])
+    mean = covariance @ design.T @ precision @ np.array([*lengths_m, house_m])
+    assert lines.stage_m[0, 0] + lines.stage_m[1, 0] * house_m == pytest.approx(mean[0])
+    assert lines.growth_m[0, 0] + lines.growth_m[1, 0] * house_m == pytest.approx(mean[1])
     np.testing.assert_allclose(lines.covariance[:, 0], covariance[[0, 0, 1], [0, 1, 1]])
 
 
-def test_fruit_seen_once_grow_like_their_row() -> None:
+def test_fruit_seen_once_grow_like_their_house() -> None:
     [fruit] = [FruitState("a", "1", 0.0, 0.20, 0.004, 2.0)]
-    growth = replace(known(0.03), rows={"1": (0.05, 0.75)})
-    mean_m, sd_m = lengths_today([fruit], growth, 4.0, 0.0)
-    # 20 cm and two days of 3 + 0.75 (5 - 3) = 4.5 cm.
+    mean_m, sd_m = lengths_today([fruit], known(0.045), 4.0, 0.0)
     assert mean_m[0] == pytest.approx(0.20 + 2 * 0.045)
-    row_var = 0.002**2 * (1 - 0.75)
     daily = 0.003**2 + 0.003**2
-    expected = 0.004**2 + 4 * (row_var + 0.005**2) + 2 * daily
-    assert sd_m[0] == pytest.approx(expected**0.5)
+    assert sd_m[0] == pytest.approx((0.004**2 + 4 * 0.005**2 + 2 * daily) ** 0.5)
 
 
 @pytest.mark.parametrize("scale_sd", [0.0, 0.01])
@@ -84,7 +79,6 @@ def test_drawn_lengths_have_the_mean_and_deviation_of_today(scale_sd: float) -> 
     np.testing.assert_allclose(lengths_m.mean(axis=0), mean_m, atol=0.0006)
     np.testing.assert_allclose(lengths_m.std(axis=0), sd_m, rtol=0.03)
     assert mean_m[0] > 0.20 + 3 * 0.036  # the fast fruit of a fast house
-    assert sd_m[2] > sd_m[1]  # a row without links
 
 
 def test_measured_shrinking_is_no_shrinking() -> None:
@@ -106,12 +100,13 @@ def test_same_day_measured_twice_is_their_weighted_mean() -> None:
         Link("a", "1", 0, 0.15, 0.010, 2, 0.20, 0.004),
     )
     fruit = [FruitState("a", "1", 0.0, 0.20, 0.004, 2.0)]
-    twice = fruit_lines(fruit, known(0.03, links), 0.0)
+    curve = known(0.03).curves[0]
+    twice = fruit_lines(fruit, known(0.03, links), curve, 0.0)
     daily = 2 * (0.003**2 + 0.003**2)
     weights = 1 / (np.array([0.012, 0.010]) ** 2 + daily)
     pooled_m, pooled_sd = float(np.average([0.14, 0.15], weights=weights)), weights.sum() ** -0.5
     link = Link("a", "1", 0, pooled_m, float((pooled_sd**2 - daily) ** 0.5), 2, 0.20, 0.004)
-    once = fruit_lines(fruit, known(0.03, (link,)), 0.0)
+    once = fruit_lines(fruit, known(0.03, (link,)), curve, 0.0)
     np.testing.assert_allclose(twice.growth_m, once.growth_m)
     np.testing.assert_allclose(twice.covariance, once.covariance)
 
@@ -136,9 +131,20 @@ def test_today_does_not_depend_on_the_days_ahead() -> None:
 
 
 def test_growth_that_slows_never_passes_the_full_length() -> None:
-    growth = replace(known(0.03), prior=replace(PRIOR, full_m=0.40))
+    growth = Growth(PRIOR, (), (Curve(0.40, 0.03, 0.0, 0.005),))
     lengths_m = drawn([FruitState("a", "1", 0.0, 0.30, 0.001)], growth, 0.0, days=30)
     # From 30 cm the distance to 40 cm falls by 2 * 3 / 40 a day.
-    assert lengths_m[1].mean() == pytest.approx(0.315, abs=0.0005)
-    assert lengths_m[30].max() < 0.41
-    assert lengths_m[30].mean() > 0.38
+    assert lengths_m[1].mean() == pytest.approx(0.40 - 0.10 * np.exp(-0.15), abs=0.0005)
+    assert lengths_m[12].mean() > 0.38
+
+
+def test_curves_are_drawn_by_their_weights() -> None:
+    curves = Curve(0.40, 0.03, 0.0, 1e-6, 0.25), Curve(np.inf, 0.03, 0.0, 1e-6, 0.75)
+    growth = Growth(PRIOR, (), curves)
+    fruit = [FruitState("a", "1", 0.0, 0.30, 1e-6, 1.0)]
+    lengths_m = drawn(fruit, growth, 3.0)[0, :, 0]
+    mean_m, sd_m = lengths_today(fruit, growth, 3.0, 0.0)
+    assert (lengths_m[:5000].mean(), lengths_m[5000:].mean()) == pytest.approx(
+        (0.40 - 0.10 * np.exp(-0.30), 0.36), abs=0.001
+    )
+    assert (lengths_m.mean(), lengths_m.std()) == pytest.approx((mean_m[0], sd_m[0]), rel=0.02)

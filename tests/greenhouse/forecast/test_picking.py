@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from cucumbervision.crop.profiles import load_profile
@@ -59,7 +60,7 @@ def test_fruit_of_other_rows_change_nothing_for_a_fruit(today: float) -> None:
 def test_what_a_grade_decided_stands_on_its_day_and_grows_afterwards() -> None:
     state = FruitState("a", "1", 0.0, 0.24, 0.02, possible=("II",))
     bound = replace(state, fruit_id="b", possible=("II", "I", "too long"), at_least=True)
-    growth = fit_growth([], GrowthPrior.of(LONG))
+    growth = fit_growth([], replace(GrowthPrior.of(LONG), full_m=(np.inf,)))
     assert forecast([state, bound], growth, LONG).possible == (state.possible, bound.possible)
     later = forecast([replace(state, sd_m=0.003), bound], growth, LONG, today=2.0)
     # About 30 cm, by the profile's growth.

@@ -12,7 +12,7 @@ from cucumbervision.errors import ProfileError
 from cucumbervision.methods.result import LengthDefinition
 from cucumbervision.run.options import MeasureOptions
 
-SHIPPED = Path(cucumbervision.__file__).parent / "agronomy" / "crops"
+SHIPPED = Path(cucumbervision.__file__).parent / "crop" / "crops"
 NAMES = ["aubergine", "courgette", "green-bean", "long-cucumber", "mini-cucumber"]
 
 

@@ -282,7 +282,7 @@ def fit_growth(links: Sequence[Link], prior: GrowthPrior) -> Growth:
     >>> prior = GrowthPrior(0.03, Spreads(0.006, 0.002, 0.005, 0.003, 0.003))
     >>> links = [Link(str(k), "1", 0, 0.2, 0.003, 3, 0.32, 0.003) for k in range(200)]
     >>> round(100 * fit_growth(links, prior).mean_m, 1)  # 4.0 cm a day were seen
-    3.8
+    3.9
     """
     histories = [measured_points(group) for group in links_by_fruit(links).values()]
     histories = _fair(histories, prior)

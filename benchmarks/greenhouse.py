@@ -1,15 +1,16 @@
 """Cucumbers on the plant before a real D435: recall, precision and lengths.
 
-    python benchmarks/greenhouse.py FOLDER [--confidence 0.2] [--input-size 640] [--end-look]
+    python benchmarks/greenhouse.py FOLDER [--turn 90] [--end-look]
 
 FOLDER holds `on_plant/` and `intrinsics.json`. `greenhouse_captures.json` holds every cucumber of
 which half or more shows, marked by eye, and which captures the detector was trained on. A fruit
 counts as found where the box around the measured mask overlaps its own by half (IoU). On eight of
 the marked fruit is a green sticker, which no grower's fruit has and which a detector can learn: it
-is painted over in the colour picture, and the figures with it come second. The four captures
-called sample show one fruit, so their lengths also tell how well a length repeats. Both ends of a
+is painted over in the colour picture. The four captures
+called sample show one fruit. Both ends of a
 fruit are marked in two passes where both are visible; `length_between_m` follows the depth from one
-to the other, and lengths and intervals are compared with that.
+to the other, and lengths and intervals are compared with that. `--turn` turns every picture, as a
+camera does that is mounted upright, and measures it with and without `camera_up`.
 """
 
 from __future__ import annotations
@@ -27,11 +28,12 @@ from rich.table import Table
 from scipy.optimize import least_squares
 
 from cucumbervision.capture.frames import valid_depth
+from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.source import ReadOptions
+from cucumbervision.fruit.instance import Instance
 from cucumbervision.fruit.masks import box_of_mask
 from cucumbervision.methods.flags import Flag
 from cucumbervision.methods.result import MethodName
-from cucumbervision.networks.confidence import DEFAULT_CONFIDENCE, parse_input_sizes
 from cucumbervision.run.inputs import read_captures
 from cucumbervision.run.measurer import Failure, Measurer
 from cucumbervision.run.options import MeasureOptions
@@ -108,6 +110,34 @@ def without_sticker(color: NDArray[np.uint8], marks: dict[str, Any]) -> NDArray[
     return cv2.inpaint(color, covered, 7, cv2.INPAINT_TELEA)  # type: ignore[return-value]
 
 
+def turned(
+    capture: Capture, marks: dict[str, Any], quarters: int
+) -> tuple[Capture, dict[str, Any]]:
+    """Return a capture and its marks turned counterclockwise by quarters."""
+    color, depth_m = (
+        np.ascontiguousarray(np.rot90(plane, quarters))
+        for plane in (capture.color, capture.depth_m)
+    )
+
+    def box_of(box: ArrayLike) -> list[float]:
+        turned_box = Instance(np.array(box, float)).turned(quarters, capture.color.shape[:2])
+        return turned_box.box.tolist()
+
+    fruit = [{**truth, "box": box_of(truth["box"])} for truth in marks["fruit"]]
+    for truth in fruit:
+        if "ends" in truth:
+            truth["ends"] = [[box_of(2 * end)[:2] for end in ends] for ends in truth["ends"]]
+    lens = capture.intrinsics
+    focal = (lens.fx_px, lens.fy_px)[:: -1 if quarters % 2 else 1]
+    centre = box_of(2 * [lens.cx_px, lens.cy_px])[:2]
+    camera = Intrinsics(color.shape[1], color.shape[0], *focal, *centre)
+    ignored = [box_of(box) for box in marks["ignored"]]
+    return (
+        replace(capture, color=color, depth_m=depth_m, intrinsics=camera),
+        {**marks, "fruit": fruit, "ignored": ignored},
+    )
+
+
 def length_text(fruit: Fruit | None) -> str:
     """Return a fruit's confidence, length with its interval, and flags."""
     if fruit is None:
@@ -169,18 +199,17 @@ def length_between_m(
 
 def fruit_table(compared: list[ComparedCapture]) -> Table:
     """Return one line a fruit, and one a false positive."""
-    table = Table("capture", "trained on", "marked", "between ends", "found", title="Every fruit")
+    table = Table("capture", "marked", "between ends", "found", title="Every fruit")
     for capture in compared:
         for (truth, measured), lengths in zip(capture.fruit, capture.marked_m, strict=True):
             table.add_row(
                 capture.name[:26],
-                "yes" if capture.trained else "no",
                 "yes" if truth["marked"] else "",
                 "" if np.isnan(lengths[0]) else f"{100 * np.mean(lengths):.1f} cm",
                 length_text(measured),
             )
         for fruit in capture.false:
-            table.add_row(capture.name[:26], "", "", "", f"false positive {length_text(fruit)}")
+            table.add_row(capture.name[:26], "", "", f"false positive {length_text(fruit)}")
     return table
 
 
@@ -207,15 +236,6 @@ def summary(compared: list[ComparedCapture]) -> list[str]:
         if fruit is not None and truth["end_hidden"] is not None
     ]
     lines.append(f"a hidden end is flagged, a visible one is not: {sum(ends)} of {len(ends)}")
-    repeats = [
-        fruit.length.value_m
-        for capture in compared
-        for truth, fruit in capture.fruit
-        if capture.name.startswith("sample") and truth["marked"] and fruit and fruit.length
-    ]
-    if len(repeats) > 1:
-        spread = 100 * np.std(repeats, ddof=1) / np.mean(repeats)
-        lines.append(f"one fruit in {len(repeats)} captures: standard deviation {spread:.1f} %")
     return lines + interval_lines(compared) + marked_lines(compared)
 
 
@@ -272,32 +292,34 @@ def main() -> None:
     """Measure, compare and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--confidence", type=float, default=DEFAULT_CONFIDENCE)
-    parser.add_argument("--input-size", default="", help="as `measure --input-size`")
+    parser.add_argument(
+        "--turn", type=int, default=0, choices=(0, 90, 180, 270), help="degrees, to the left"
+    )
     parser.add_argument(
         "--end-look", action=argparse.BooleanOptionalAction, default=MeasureOptions().end_look
     )
     arguments = parser.parse_args()
-    options = MeasureOptions(
-        instances="models",
-        confidence=arguments.confidence,
-        end_look=arguments.end_look,
-        input_sizes=parse_input_sizes(arguments.input_size),
-    )
-    measurer = Measurer(options)
+    options = MeasureOptions(instances="models", end_look=arguments.end_look)
+    quarters = arguments.turn // 90
+    measurers = {"camera_up unknown" if quarters else "stickers painted over": Measurer(options)}
+    if quarters:
+        up = ("top", "left", "bottom", "right")[quarters]
+        measurers["camera_up known"] = Measurer(replace(options, camera_up=up))
+    compared: dict[str, list[ComparedCapture]] = {title: [] for title in measurers}
     marks = {capture["name"]: capture for capture in json.loads(MARKED.read_text())["captures"]}
     reading = ReadOptions(intrinsics=arguments.folder / "intrinsics.json")
-    compared, with_stickers = [], []
     for capture in read_captures([arguments.folder / "on_plant"], reading):
         if isinstance(capture, Failure):
             raise SystemExit(capture.message)
         truth = marks[capture.name.removesuffix("_color")]
-        with_stickers.append(compare(measurer.measure(capture), truth))
         plain = replace(capture, color=without_sticker(capture.color, truth))
-        compared.append(compare(measurer.measure(plain), truth))
+        if quarters:
+            plain, truth = turned(plain, truth, quarters)
+        for title, measurer in measurers.items():
+            compared[title].append(compare(measurer.measure(plain), truth))
     console = Console(width=120, highlight=False)
-    console.print(fruit_table(compared))
-    for title, group in (("stickers painted over", compared), ("as captured", with_stickers)):
+    for title, group in compared.items():
+        console.print(fruit_table(group))
         console.print(f"\n{title}:")
         for line in summary(group):
             console.print(line, soft_wrap=True)

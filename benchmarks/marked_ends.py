@@ -14,7 +14,6 @@ import argparse
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -46,7 +45,6 @@ _CONFIDENCE = 0.08  # fruit half hidden are found less surely than a report asks
 _DISTANCE_M = 0.5  # any: nothing of a photo is measured in metres
 _AXIS_POINTS = 33
 _MOVED_RADII = 1.0  # an end of today's mask that lies farther off is another end
-_EDGES = (0.0, 0.03, 0.1, 0.3, 0.6, 0.9, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +118,6 @@ def main() -> None:
         covered = np.array([look.covered for look in looks])
         console.print(f"\n{file.name}")
         console.print(summary_table(covered, marks, trained))
-        console.print(calibration_table(covered[~trained], marks[~trained]))
 
 
 def summary_table(
@@ -138,23 +135,6 @@ def summary_table(
         ]
         areas = [area_under_curve(covered[chosen], marks[chosen] != "t") for chosen in (told, rows)]
         table.add_row(name, *map(str, counts), *(f"{area:.3f}" for area in areas), *flagged)
-    return table
-
-
-def calibration_table(covered: NDArray[np.float64], marks: NDArray[np.str_]) -> Table:
-    """Return how often ends are covered where the look gives a probability, without cut ones."""
-    table = Table("probability", "ends", "mean", "covered", title="Photos not trained on")
-    told = marks != "x"
-    for lower, upper in pairwise(_EDGES):
-        rows = told & (covered >= lower) & (covered < upper)
-        if rows.any():
-            share = (marks[rows] == "c").mean()
-            table.add_row(
-                f"{lower} to {upper}",
-                str(rows.sum()),
-                f"{covered[rows].mean():.2f}",
-                f"{share:.2f}",
-            )
     return table
 
 

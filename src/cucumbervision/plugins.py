@@ -144,16 +144,13 @@ class Plugin:
             Instead of an exception of another package's plug-in. What the package itself raises is
             a defect, or has a name; so has a `CucumberVisionError` of a detector or reader.
         """
-        if self.is_own:
-            return function(*arguments)
+        # A detector or reader may say what is wrong with its input.
+        says = CucumberVisionError if self.kind in ("detectors", "readers") else PluginError
         try:
             return function(*arguments)
-        except CucumberVisionError as error:
-            # A detector or reader may say what is wrong with its input.
-            if isinstance(error, PluginError) or self.kind in ("detectors", "readers"):
-                raise
-            raise self.error(f"failed ({error})") from error
         except (Exception, SystemExit) as error:
+            if self.is_own or isinstance(error, says):
+                raise
             raise self.error(f"failed ({type(error).__name__}: {error})") from error
 
 
@@ -222,10 +219,7 @@ def _table(kind: Kind) -> tuple[dict[str, Plugin], tuple[PluginError, ...]]:
 
 
 def _plugin(kind: Kind, point: EntryPoint) -> Plugin:
-    distribution = point.dist
-    package, number = (
-        ("", "") if distribution is None else (distribution.name, distribution.version)
-    )
+    package, number = (point.dist.name, point.dist.version) if point.dist else ("", "")
     return Plugin(kind, point.name, point.value, package, number)
 
 

@@ -3,6 +3,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from cucumbervision.capture.frames import Capture
@@ -164,3 +165,17 @@ def test_the_packages_own_networks_come_with_a_card() -> None:
             assert model.licence == "AGPL-3.0-only"
             assert model.card
             assert list(registry.resolve(model.name)) == ["network"]
+
+
+def test_a_picture_is_turned_upright_before_the_networks_see_it(
+    plain: Capture, own_registry: Registry
+) -> None:
+    finder = make_finder(MeasureOptions(instances="models"), own_registry)
+    color, depth_m = plain.color[::-1, ::-1].copy(), plain.depth_m[::-1, ::-1].copy()
+    turned = replace(plain, color=color, depth_m=depth_m, gravity=(0.0, -1.0, 0.0))
+    found = finder.find(turned).instances
+    for before, after in zip(finder.find(plain).instances, found, strict=True):
+        back = after.turned(2, plain.color.shape[:2])
+        assert np.allclose(back.box, before.box)
+        assert back.confidence == before.confidence
+        assert np.array_equal(back.detector_mask, before.detector_mask)

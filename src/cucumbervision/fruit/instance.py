@@ -112,6 +112,41 @@ class Instance:
             if mask is not None and getattr(mask, "dtype", None) != np.bool_:
                 object.__setattr__(self, name, as_mask(mask))
 
+    def turned(self, quarters: int, shape: tuple[int, int]) -> Self:
+        """Return the instance as it lies in the picture turned by quarters, as `np.rot90` does.
+
+        Parameters
+        ----------
+        quarters : int
+            Quarter turns, counterclockwise.
+        shape : tuple of int
+            Height and width of the picture before it is turned.
+
+        Examples
+        --------
+        >>> Instance(np.array([0.0, 0.0, 9.0, 30.0])).turned(1, (100, 40)).box.tolist()
+        [0.0, 30.0, 30.0, 39.0]
+        """
+        size = np.array(shape[::-1])
+        turn = np.linalg.matrix_power(np.array([[0, 1], [-1, 0]]), quarters % 4)
+
+        def placed(points: NDArray[np.float64]) -> NDArray[np.float64]:
+            return (points - (size - 1) / 2) @ turn.T + (abs(turn) @ size - 1) / 2
+
+        if not quarters:
+            return self
+        corners, points = placed(self.box.reshape(2, 2)), self.keypoints
+        masks = {
+            name: mask if mask is None else np.ascontiguousarray(np.rot90(mask, quarters))
+            for name, mask in (("mask", self.mask), ("detector_mask", self.detector_mask))
+        }
+        return replace(
+            self,
+            box=np.concatenate([corners.min(axis=0), corners.max(axis=0)]),
+            **masks,
+            keypoints=None if points is None else np.c_[placed(points[:, :2]), points[:, 2]],
+        )
+
     @classmethod
     def of_mask(cls, mask: NDArray[Any], source: MaskSource = MaskSource.DATASET) -> Self:
         """Create an instance from a mask alone.

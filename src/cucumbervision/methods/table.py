@@ -337,32 +337,26 @@ def run_methods(
 def _measured(region: Region, method: str | Method) -> Measurement:
     plugin = plugin_of(method)
     try:
-        table_method = TableMethod.of(method)
-        measurement = plugin.call(table_method.measure, region)
-        return measurement if plugin.is_own else _checked(plugin, measurement)
+        measurement: Measurement = plugin.call(TableMethod.of(method).measure, region)
+        return measurement if plugin.is_own else plugin.call(_checked, plugin.name, measurement)
     except PluginError as error:
         return Measurement(plugin.name, reason=Reason.PLUGIN_FAILED, error=error)
 
 
-def _checked(plugin: Plugin, measurement: Measurement) -> Measurement:
+def _checked(name: str, measurement: Measurement) -> Measurement:
     """Return another package's measurement under the name of its line.
 
     Raises
     ------
-    PluginError
-        If it is none, or its length is none.
+    ValueError
+        If its length is none.
     """
-    if not isinstance(measurement, Measurement):
-        raise plugin.error(f"returned {type(measurement).__name__} in place of a Measurement")
-    length_m = measurement.length_m
-    if length_m is None:
-        return replace(measurement, method=plugin.name)
-    length_m = plugin.call(float, length_m)
-    if not 0 < length_m < np.inf:
-        raise plugin.error(f"returned a length of {length_m!r} m")
-    if measurement.kind not in (*LengthKind, *LengthDefinition):
-        raise plugin.error(f"returned a length of kind {measurement.kind!r}")
-    return replace(measurement, method=plugin.name, length_m=length_m)
+    length_m = None if measurement.length_m is None else float(measurement.length_m)
+    if length_m is not None and not 0 < length_m < np.inf:
+        raise ValueError(f"a length of {length_m!r} m")
+    if length_m is not None and measurement.kind not in (*LengthKind, *LengthDefinition):
+        raise ValueError(f"a length of kind {measurement.kind!r}")
+    return replace(measurement, method=name, length_m=length_m)
 
 
 def or_else(failed: Measurement, method: str, substitute: Measurement) -> Measurement:

@@ -187,9 +187,8 @@ def make_finder(
         detections = boxes(capture).of_classes(options.classes)
         if name != "none":
             detections = _without_box_masks(detections)
-        if (
-            name is None and options.selector is Selector.BEST
-        ):  # the paper's selector measures the masks of SAM
+        # The paper's selector measures the masks of SAM.
+        if name is None and options.selector is Selector.BEST:
             detections = _with_fitting_masks(capture, detections)
         # Existing masks are used unchanged unless the user chose a segmenter.
         drawn = [k for k, i in enumerate(detections.instances) if draws_all or i.mask is None]
@@ -239,20 +238,12 @@ def _segmented(
     answers = plugin.call(lambda: tuple(segmenter.segment(capture.color, tuple(prompts))))
     if len(answers) != len(prompts):
         raise plugin.error(f"returned {len(answers)} masks for {len(prompts)} fruit")
-    shape = (capture.height, capture.width)
-    masked = []
-    for prompt, answer in zip(prompts, answers, strict=True):
-        mask = getattr(answer, "mask", None)
-        if mask is not None and np.shape(mask) != shape:
-            raise plugin.error(f"returned a mask of shape {np.shape(mask)} in place of {shape}")
-        if mask is None or not np.any(mask):
-            fault = str(getattr(answer, "mask_failure", ""))
-            fault = fault if fault in MASK_FAILURES else MASK_FAILURES[0]
-            masked.append(replace(prompt, mask_failure=fault))
-            continue
-        own = np.array(mask, bool)  # a segmenter may draw the next fruit into its array
-        masked.append(replace(prompt, mask=own, mask_source=MaskSource.SEGMENTER, mask_failure=""))
-    return tuple(masked)
+    return tuple(
+        replace(prompt, mask=answer.mask, mask_source=MaskSource.SEGMENTER, mask_failure="")
+        if answer.mask is not None and answer.mask.any()
+        else replace(prompt, mask_failure=answer.mask_failure or MASK_FAILURES[0])
+        for prompt, answer in zip(prompts, answers, strict=True)
+    )
 
 
 def _without_box_masks(detections: Detections) -> Detections:
@@ -275,10 +266,8 @@ def _with_fitting_masks(capture: Capture, detections: Detections) -> Detections:
         if instance.mask is None and mask is not None and mask.any():
             measured = measure_m6(capture.depth_m, mask, capture.intrinsics)
             if fits_well(measured):
-                instance, tube = (
-                    replace(instance, mask=mask, mask_source=MaskSource.DETECTOR),
-                    measured,
-                )
+                instance = replace(instance, mask=mask, mask_source=MaskSource.DETECTOR)
+                tube = measured
         instances.append(instance)
         tubes.append(tube)
     return replace(detections, instances=tuple(instances), tubes=tuple(tubes))
@@ -415,10 +404,32 @@ def _network_finder(
     labels, posed = detectors.labels, detectors.gives_keypoints
 
     def find(capture: Capture) -> Detections:
-        instances = detectors.find(*_seen(capture))
+        quarters = upright_quarters(capture.gravity)
+        color, depth_m, focal_px = _seen(capture)
+        color = np.ascontiguousarray(np.rot90(color, quarters))
+        depth_m = None if depth_m is None else np.ascontiguousarray(np.rot90(depth_m, quarters))
+        found = detectors.find(color, depth_m, focal_px)
+        instances = tuple(fruit.turned(-quarters, color.shape[:2]) for fruit in found)
         return Detections(instances, stages=frozenset({"detected"}), labels=labels, posed=posed)
 
     return find
+
+
+def upright_quarters(gravity: tuple[float, float, float] | None) -> int:
+    """Return the counterclockwise quarter turns after which up is up in a picture.
+
+    The networks learnt mostly from hanging fruit. 0 where gravity is unknown, or the camera looks
+    steeply up or down.
+
+    Examples
+    --------
+    >>> [upright_quarters(down) for down in (None, (0, 1, 0), (-1, 0.2, 0.3), (1, 0, 0), (1, 0, 2))]
+    [0, 0, 1, 3, 0]
+    """
+    across, down, away = gravity or (0.0, 1.0, 0.0)
+    if abs(away) > np.hypot(across, down):
+        return 0
+    return round(-np.arctan2(across, down) / (np.pi / 2)) % 4
 
 
 def _seen(capture: Capture) -> tuple[NDArray[np.uint8], NDArray[np.float32] | None, float | None]:

@@ -108,7 +108,7 @@ class MeasureOptions:
     camera_up : str, optional
         The picture's edge that is up, 'top', 'left', 'right' or 'bottom', for a camera that is
         mounted about level before hanging fruit; it takes the place of `Capture.gravity` where a
-        capture has none, and says which end is the stem's.
+        capture has none: the networks see the picture turned upright, and the stem is above.
     """
 
     instances: str = "auto"
@@ -351,12 +351,8 @@ class RunPlugins:
             (plugin, None) for plugin in plugins("traits").values()
         ]
         for trait in self._plug_ins.traits:
-            plugin = Plugin.of("traits", getattr(trait, "function", trait))
-            try:
-                name = plugin.call(lambda trait=trait: str(trait.name))
-                listed.append((Plugin.of("traits", getattr(trait, "function", trait), name), trait))
-            except PluginError as fault:
-                self.faults.append(fault)
+            plugin = Plugin.of("traits", getattr(trait, "function", trait), str(trait.name))
+            listed.append((plugin, trait))
         return listed
 
     def _method_names(self) -> list[str]:

@@ -276,7 +276,6 @@ def measured_round(store: Store, round_key: str) -> Measured:
     """
     fruit = [v for v in store.detections(round_key) if v.verdict is not Verdict.REJECTED]
     table = {line.key: line for line in fruit_table(read_round(store, round_key))}
-    readings = tuple(_reading(view, table.get(view.key, view)) for view in fruit)
     captures: list[dict[str, Any]] = []
     report: dict[str, Any] = {"captures": captures}
     for key in dict.fromkeys(view.stop_key for view in fruit):
@@ -296,6 +295,8 @@ def measured_round(store: Store, round_key: str) -> Measured:
             )
         report.update(_made_with(stop.artifacts))
     names = tuple(capture["name"] for capture in captures)
+    asked = report.get("config", {}).get("methods", [])
+    readings = tuple(_reading(view, table.get(view.key, view), asked) for view in fruit)
     return Measured(Path(f"round {round_key}"), readings, names, report)
 
 
@@ -313,10 +314,9 @@ def _made_with(artifacts: Sequence[Any]) -> dict[str, Any]:
     return made_with
 
 
-def _reading(view: FruitRow, reported: FruitRow) -> Reading:
+def _reading(view: FruitRow, reported: FruitRow, asked: Sequence[str]) -> Reading:
     """Return a find as a reading; what is reported is what all views of the fruit say."""
-    lengths = {name: getattr(view, f"{name.lower()}_m") for name in AVAILABLE}
-    measured = {name: length_m for name, length_m in lengths.items() if length_m is not None}
+    measured = {n: x for n in AVAILABLE if (x := getattr(view, f"{n.lower()}_m")) is not None}
     # A method that fell back on a simpler one has its length.
     fell_back = {n for n, x in measured.items() if x in [measured[m] for m in measured if m < n]}
     if view.thread_m is not None:
@@ -324,7 +324,7 @@ def _reading(view: FruitRow, reported: FruitRow) -> Reading:
     return Reading(
         capture=capture_name(view),
         fruit=view.fruit,
-        lengths_m={**measured, REPORTED: reported.length_m},
+        lengths_m={**dict.fromkeys(asked), **measured, REPORTED: reported.length_m},
         fell_back=frozenset(fell_back),
         kind="" if view.length is None else str(view.length.kind),
         mask_source=view.mask_source or "",

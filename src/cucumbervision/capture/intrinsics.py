@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cucumbervision.capture import DepthAlong as DepthAlong
+from cucumbervision.capture import Stream as Stream
 from cucumbervision.errors import IntrinsicsError
 from cucumbervision.tube.camera import Distortion as Distortion
 from cucumbervision.tube.camera import distort, scale_error, undistort
@@ -22,28 +23,13 @@ if TYPE_CHECKING:
 
 
 _SHORTEST_FOCAL, _LONGEST_FOCAL = 0.05, 100.0  # range of focal lengths relative to the longer side
-_MOST_ASPECT = 1.5  # maximum ratio of the focal lengths
-_MOST_COEFFICIENT = 1e3  # maximum distortion coefficient
-_MOST_PX = 1e9  # maximum of a camera matrix
+# Maxima: ratio of the focal lengths, distortion coefficient, entry of a camera matrix.
+_MOST_ASPECT, _MOST_COEFFICIENT, _MOST_PX = 1.5, 1e3, 1e9
 _WIDEST_TANGENT = 20.0  # maximum tangent of a pixel's viewing angle
 # A principal point that lies off the middle by the same factor in both directions, within
 # `_SAME_FACTOR`, belongs to a picture of another size; within `_CENTRED` of 1 cameras vary.
 _SAME_FACTOR, _CENTRED = 0.06, 0.09
 _OFF_CENTRE = 0.06  # share of the picture's size
-
-
-class Stream(StrEnum):
-    """The stream that a set of intrinsics was calibrated for."""
-
-    COLOR = "color"
-    DEPTH = "depth"
-
-
-class DepthAlong(StrEnum):
-    """Direction in which the values of a depth picture are measured."""
-
-    AXIS = "axis"
-    RAY = "ray"
 
 
 @dataclass(frozen=True)

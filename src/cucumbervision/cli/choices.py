@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, get_type_h
 
 import typer
 
-from cucumbervision.capture.intrinsics import DepthAlong, Stream
+from cucumbervision.capture import DepthAlong, Stream
 from cucumbervision.methods.result import LengthDefinition, Selector
 from cucumbervision.networks.confidence import DEFAULT_CONFIDENCE
 

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 
 from cucumbervision.cli.console import print_table, progress_bar, screen
-from cucumbervision_lab.arrays import Progress
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -16,6 +15,7 @@ if TYPE_CHECKING:
     from rich.progress import TaskID
 
     from cucumbervision.accuracy.statistics import ReportTable
+    from cucumbervision_lab.arrays import Progress
 
 
 @contextmanager

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cucumbervision.cli.choices import InputSize
-from cucumbervision_lab.arrays import Progress
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from cucumbervision_lab.arrays import Progress
     from cucumbervision_lab.data.labels import DataSet
     from cucumbervision_lab.train.classifier import ClassifierOptions, Trained
 

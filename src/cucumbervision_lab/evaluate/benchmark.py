@@ -275,7 +275,8 @@ def write_interval_models(path: Path, models: intervals.IntervalModels) -> None:
     Examples
     --------
     >>> import tempfile, pathlib
-    >>> from cucumbervision.methods.intervals import read_interval_models
+    >>> from cucumbervision.methods.intervals import (
+    ...     Band, IntervalModel, IntervalModels, Trees, read_interval_models)
     >>> path = pathlib.Path(tempfile.mkdtemp()) / "models.json"
     >>> tilted = Trees(-4.5, ((0, 0, 0),), ((0.5, 0.2, 0.9),), ((-0.1, 0.0, 0.1, 0.2),))
     >>> bands, edges = {"": Band(1.5, 1.7, 700)}, (("tilt", (0.25,)),)

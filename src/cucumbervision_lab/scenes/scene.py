@@ -159,6 +159,7 @@ def render(scene: Scene, camera: Intrinsics) -> View:
     --------
     >>> from cucumbervision.capture.intrinsics import Intrinsics
     >>> from cucumbervision_lab.scenes.bodies import arc_tube
+    >>> from cucumbervision_lab.scenes.raycast import Plane, Stem
     >>> tube = arc_tube(0.2, 0.02).moved(np.eye(3), (0.0, 0.0, 0.5))
     >>> string = Stem(np.array([[0.0, -0.3, 0.45], [0.0, 0.3, 0.45]]), 0.002)
     >>> camera = Intrinsics(320, 240, 300.0, 300.0, 160.0, 120.0)

@@ -135,6 +135,7 @@ def test_two_days_from_upload_to_export(
     page.get_by_text("Compare with").wait_for()
     page.get_by_test_id("stMetricValue").filter(has_text=re.compile("^7$")).first.wait_for()
     page.locator("[data-test-script-state=notRunning]").wait_for()
+    page.get_by_text("No fruit of one day could be told").wait_for(state="hidden")  # until linked
     shot(page, "compare")
     told = metrics(page)
     with open_store(store) as opened:

@@ -28,8 +28,8 @@ _MOST_ASPECT, _MOST_COEFFICIENT, _MOST_PX = 1.5, 1e3, 1e9
 _WIDEST_TANGENT = 20.0  # maximum tangent of a pixel's viewing angle
 # A principal point that lies off the middle by the same factor in both directions, within
 # `_SAME_FACTOR`, belongs to a picture of another size; within `_CENTRED` of 1 cameras vary.
-_SAME_FACTOR, _CENTRED = 0.06, 0.09
-_OFF_CENTRE = 0.06  # share of the picture's size
+# `_OFF_CENTRE` is a share of the picture's size.
+_SAME_FACTOR, _CENTRED, _OFF_CENTRE = 0.06, 0.09, 0.06
 
 
 @dataclass(frozen=True)

@@ -40,14 +40,13 @@ if TYPE_CHECKING:
 LOOSE = "upload"
 """Title of files that were not sent in a zip."""
 
-_CHUNK = 1 << 20
 _TEXTS = frozenset({".json", ".txt", ".yaml", ".yml", ".xml"})
 _PICTURES = (COLOR_SUFFIXES | DEPTH_SUFFIXES) - {".csv"}
 _REMEDY = "pack capture folders, BOP scenes, or colour and depth pictures with matching names"
 _SMALLER, _PACK_AGAIN = "send it in smaller parts", "pack the captures' folder again"
-_MOST_BYTES = 240  # of a file's name
 _FORBIDDEN = re.compile(r'[<>:"|?*]')  # in names on Windows; a part after ':' would be hidden
-_ENTRY_BYTES = 600  # maximum size of a zip's directory entry, with name and extra fields
+# Read at once; longest name of a file; largest entry of a zip's directory, with extra fields.
+_CHUNK, _MOST_BYTES, _ENTRY_BYTES = 1 << 20, 240, 600
 _PLAIN = frozenset({zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED})
 _GB = 1_000_000_000
 
@@ -327,13 +326,16 @@ class _Intake:
         """Unpack a zip; an incomplete zip is rejected completely."""
         try:
             folder.mkdir(parents=True)
-            most_bytes = max(self.limits.members * _ENTRY_BYTES, 2 * _CHUNK)
             with (
                 wrap_reader_errors(title, UploadError, "pack or copy it again"),
-                _Bounded(path, most_bytes) as stream,
+                _Bounded(path, max(self.limits.members * _ENTRY_BYTES, 2 * _CHUNK)) as stream,
                 zipfile.ZipFile(stream) as archive,
             ):
                 for member, name in self._members(archive, title):
+                    if name.suffix.lower() in _TEXTS and member.file_size > self.limits.text_bytes:
+                        long_text = _too_large(f"{title}: {name}", self.limits.text_bytes)
+                        self.out.refused.append(long_text)
+                        continue
                     with archive.open(member) as packed:
                         for size in self._copied(packed, folder / name, f"{title}: {name}"):
                             self._unpacked_left -= size

@@ -199,9 +199,12 @@ def test_an_upload_is_measured_and_what_is_no_capture_is_told(
     packed = tmp_path / "row.zip"
     with zipfile.ZipFile(packed, "w") as archive:
         for path in sorted((example_captures() / "simulated-row-a").glob("*.*")):
-            # At a place of its own: where it was drawn, the same camera has a stop already.
-            text = path.read_text().replace('"demo"', '"7"') if path.suffix == ".json" else None
-            archive.writestr(f"row-a/{path.name}", text or path.read_bytes())
+            # Of another name and place: the demonstration has this capture, and a stop where it is.
+            other = (b'"simulated-row-a"', b'"walked"'), (b'"demo"', b'"7"')
+            content = path.read_bytes()
+            for old, new in other if path.suffix == ".json" else ():
+                content = content.replace(old, new)
+            archive.writestr(f"row-a/{path.name}", content)
     (tmp_path / "odd.png").write_bytes(b"MZ no picture")
     dashboard.go("Upload")
     page.locator("input[type=file]").set_input_files([packed, tmp_path / "odd.png"])

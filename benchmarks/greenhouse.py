@@ -114,14 +114,13 @@ def turned(
     capture: Capture, marks: dict[str, Any], quarters: int
 ) -> tuple[Capture, dict[str, Any]]:
     """Return a capture and its marks turned counterclockwise by quarters."""
-    color, depth_m = (
-        np.ascontiguousarray(np.rot90(plane, quarters))
-        for plane in (capture.color, capture.depth_m)
-    )
+    color = np.ascontiguousarray(np.rot90(capture.color, quarters))
+    depth_m = np.ascontiguousarray(np.rot90(capture.depth_m, quarters))
 
     def box_of(box: ArrayLike) -> list[float]:
-        turned_box = Instance(np.array(box, float)).turned(quarters, capture.color.shape[:2])
-        return turned_box.box.tolist()
+        before = Instance(np.array(box, float))
+        edges: list[float] = before.turned(quarters, capture.color.shape[:2]).box.tolist()
+        return edges
 
     fruit = [{**truth, "box": box_of(truth["box"])} for truth in marks["fruit"]]
     for truth in fruit:
@@ -130,7 +129,7 @@ def turned(
     lens = capture.intrinsics
     focal = (lens.fx_px, lens.fy_px)[:: -1 if quarters % 2 else 1]
     centre = box_of(2 * [lens.cx_px, lens.cy_px])[:2]
-    camera = Intrinsics(color.shape[1], color.shape[0], *focal, *centre)
+    camera = Intrinsics(color.shape[1], color.shape[0], focal[0], focal[1], centre[0], centre[1])
     ignored = [box_of(box) for box in marks["ignored"]]
     return (
         replace(capture, color=color, depth_m=depth_m, intrinsics=camera),

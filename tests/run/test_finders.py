@@ -178,4 +178,4 @@ def test_a_picture_is_turned_upright_before_the_networks_see_it(
         back = after.turned(2, plain.color.shape[:2])
         assert np.allclose(back.box, before.box)
         assert back.confidence == before.confidence
-        assert np.array_equal(back.detector_mask, before.detector_mask)
+        assert np.all(back.detector_mask == before.detector_mask)

@@ -131,12 +131,12 @@ class Instance:
         turn = np.linalg.matrix_power(np.array([[0, 1], [-1, 0]]), quarters % 4)
 
         def placed(points: NDArray[np.float64]) -> NDArray[np.float64]:
-            return (points - (size - 1) / 2) @ turn.T + (abs(turn) @ size - 1) / 2
+            return np.asarray((points - (size - 1) / 2) @ turn.T + (abs(turn) @ size - 1) / 2)
 
         if not quarters:
             return self
         corners, points = placed(self.box.reshape(2, 2)), self.keypoints
-        masks = {
+        masks: dict[str, Any] = {
             name: mask if mask is None else np.ascontiguousarray(np.rot90(mask, quarters))
             for name, mask in (("mask", self.mask), ("detector_mask", self.detector_mask))
         }

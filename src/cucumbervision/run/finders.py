@@ -429,7 +429,7 @@ def upright_quarters(gravity: tuple[float, float, float] | None) -> int:
     across, down, away = gravity or (0.0, 1.0, 0.0)
     if abs(away) > np.hypot(across, down):
         return 0
-    return round(-np.arctan2(across, down) / (np.pi / 2)) % 4
+    return int(round(-np.arctan2(across, down) / (np.pi / 2)) % 4)
 
 
 def _seen(capture: Capture) -> tuple[NDArray[np.uint8], NDArray[np.float32] | None, float | None]:

@@ -7,11 +7,34 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cucumbervision.capture.frames import DEPTH_MAX_M, DEPTH_MIN_M, valid_depth
 from cucumbervision.errors import DepthError, Message, joined
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+DEPTH_MIN_M, DEPTH_MAX_M = 0.1, 5.0
+
+
+def valid_depth(depth_m: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Return which depth values are valid readings, between 0.1 and 5 m.
+
+    Parameters
+    ----------
+    depth_m : ndarray of float
+        Depth in metres, any shape; 0, NaN and infinity are no readings.
+
+    Returns
+    -------
+    ndarray of bool
+        The shape of `depth_m`.
+
+    Examples
+    --------
+    >>> valid_depth(np.array([0.0, 0.05, 0.5, 9.0, np.nan], np.float32))
+    array([False, False,  True, False, False])
+    """
+    # Comparisons with NaN are False, so NaN needs no separate test.
+    return (depth_m >= DEPTH_MIN_M) & (depth_m <= DEPTH_MAX_M)
 
 
 _FEW, _MOST = 0.01, 0.5

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cucumbervision.capture.depth import depth_to_metres
+from cucumbervision.capture.depth import valid_depth as valid_depth
 from cucumbervision.capture.intrinsics import Intrinsics, check_intrinsics, is_off_centre
 from cucumbervision.errors import CaptureError, DepthError
 from cucumbervision.names import checked_name
@@ -18,10 +20,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-
-DEPTH_MIN_M = 0.1
-
-DEPTH_MAX_M = 5.0
 
 _STRIP_ROWS = 64
 
@@ -218,8 +216,6 @@ class Capture:
         >>> float(capture.depth_m[0, 0]), capture.intrinsics.fx_px
         (0.5, 60.0)
         """
-        from cucumbervision.capture.depth import depth_to_metres
-
         raw = np.ma.filled(depth, 0)  # pixels that a masked array leaves out are no readings
         depth_m = depth_to_metres(np.asarray(raw), depth_unit_m, source=name)
         if not isinstance(intrinsics, Intrinsics):
@@ -241,28 +237,6 @@ class Capture:
     def fill(self) -> float:
         """Share of pixels with a valid depth reading, 0 to 1."""
         return float(valid_depth(self.depth_m).mean())
-
-
-def valid_depth(depth_m: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Return which depth values are valid readings, between 0.1 and 5 m.
-
-    Parameters
-    ----------
-    depth_m : ndarray of float
-        Depth in metres, any shape; 0, NaN and infinity are no readings.
-
-    Returns
-    -------
-    ndarray of bool
-        The shape of `depth_m`.
-
-    Examples
-    --------
-    >>> valid_depth(np.array([0.0, 0.05, 0.5, 9.0, np.nan], np.float32))
-    array([False, False,  True, False, False])
-    """
-    # Comparisons with NaN are False, so NaN needs no separate test.
-    return (depth_m >= DEPTH_MIN_M) & (depth_m <= DEPTH_MAX_M)
 
 
 @dataclass(frozen=True, eq=False)

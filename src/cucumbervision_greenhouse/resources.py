@@ -154,7 +154,7 @@ def _crop_titles() -> dict[str, str]:
 
 
 def crop_titles() -> dict[str, str]:
-    """Return the titles of all readable crop profiles by their names, told apart as shown."""
+    """Return the titles of all readable crop profiles by their names, each title once."""
     return told_apart({name: gettext(title) for name, title in _crop_titles().items()})
 
 

@@ -376,7 +376,7 @@ def last_of_day(rounds: Iterable[Round]) -> list[tuple[str, Round]]:
 
 
 def change_words(fruit: FruitChange, units: Units) -> list[str]:
-    """Return what is said of a fruit of two rounds: its place, its two lengths, its growth."""
+    """Return the words for a fruit of two rounds: its place, its two lengths, its growth."""
     view = fruit.after or fruit.before
     if view is None:
         return []
@@ -391,7 +391,7 @@ def change_words(fruit: FruitChange, units: Units) -> list[str]:
 
 
 def day_lines(view: FruitRow, units: Units) -> list[str]:
-    """Return what is said of a fruit on one day: the date, its length and interval."""
+    """Return the words for a fruit on one day: the date, its length and interval."""
     interval = interval_words(view, units)
     lines = [day_words(view.taken_s), length_words(view, units), interval or ""]
     return [line for line in lines if line]
@@ -422,7 +422,7 @@ def map_words(view: FruitRow, graded: GradedRound, units: Units) -> str:
 
 
 def mark_words(view: FruitRow, graded: GradedRound, units: Units) -> str:
-    """Return what is said of a fruit on the map of its row: its position, length and class."""
+    """Return the words for a fruit on the map of its row: its position, length and class."""
     grades = [grade_words(graded.grades[view.key])] if view.key in graded.grades else []
     place = position_words(view.along_m, units)
     return ", ".join([f"{place}: {length_words(view, units)}", *grades])

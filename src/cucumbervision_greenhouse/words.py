@@ -146,7 +146,7 @@ def action_words(action: LogEntry) -> str:
 
 
 def taken_back(action: LogEntry) -> str:
-    """Return what is said of an action that was undone.
+    """Return the words for an action that was undone.
 
     Examples
     --------
@@ -207,7 +207,7 @@ def row_name(row: str | None) -> str:
 
 
 def clock_words(walked_s: float) -> str:
-    """Return what is said of a round that is later than this machine's clock."""
+    """Return the words for a round that is later than this machine's clock."""
     return _(
         "The last stop ({when}) is later than this computer's clock ({now}): set the clock. Until "
         "then days, growth and what is left to pick are not right."

@@ -100,7 +100,7 @@ def add_shape_prior(
     even = np.empty((count - 1, split))
     by_axis = even.reshape(count - 1, count, 3)
     np.multiply(second[:, :, None], tangent[:, None, :] / (_SPEED_SD * step), out=by_axis[:-1])
-    # Where depth hardly tells, a fruit rather lies across the view than along it.
+    # Where depth hardly decides, a fruit rather lies across the view than along it.
     middle = bend.mean(axis=0)
     middle /= np.sqrt(middle @ middle) * _TILT_SD * step * BEND_SEGMENTS
     np.multiply((ends[1] - ends[0])[:, None], middle, out=by_axis[-1])

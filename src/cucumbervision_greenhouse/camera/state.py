@@ -101,7 +101,7 @@ def walk(store: Store, round_key: str, source: str) -> dict[str, Any]:
 
 
 def _no_photo(home: str, round_summary: Round | None) -> str:
-    """Return what is said where a photo goes into another round than the open one: it has stops."""
+    """Return the words where a photo goes into another round than the open one: it has stops."""
     if round_summary is None or home == round_summary.key:
         return ""
     return _("No photo in the round 'Demonstration' yet: each photo's result is shown here")

@@ -188,7 +188,7 @@ def _summary(
 def _fruit_lines(
     table: Sequence[FruitRow], profile: CropProfile | None, forecast: Forecast | None
 ) -> Iterator[Line]:
-    """Return what the columns of each fruit lead through: its row, and what is said of it."""
+    """Return what the columns of each fruit lead through: its row, and its words."""
     ready: dict[str, float] = {}
     if forecast is not None:
         ids = (state.fruit_id for state in forecast.fruit)

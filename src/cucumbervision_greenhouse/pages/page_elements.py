@@ -105,7 +105,7 @@ def setting(
     """Draw a field that shows a setting, and changes it when somebody changes the field.
 
     A page that others have left behind changes nothing else; where another viewer has changed this
-    setting since the page was drawn, its viewer is told so.
+    setting since the page was drawn, the page says so.
 
     Parameters
     ----------
@@ -354,7 +354,7 @@ def say_missing(name: str, present: Container[str | None], words: str) -> None:
     present : container of str
         The existing objects.
     words : str
-        What is said.
+        The words.
     """
     if (named := st.query_params.get(name)) is not None and named not in present:
         st.warning(words.format(plain(named[:40])), icon=":material/search_off:")

@@ -140,7 +140,7 @@ def _row(
 
 
 def _answer(graded: GradedRound, fruit: FruitRow) -> dict[str, Any]:
-    """Return what is said of a fruit beside its mark."""
+    """Return the words for a fruit beside its mark."""
     units = resources.settings().units
     verdicts = {
         None: "",

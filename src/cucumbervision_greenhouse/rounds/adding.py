@@ -261,7 +261,7 @@ def require_store(added: Added) -> None:
     Raises
     ------
     StoreAwayError
-        As it was said.
+        With the message of the failure.
     """
     if added.failure is not None and added.failure.error == StoreAwayError.__name__:
         raise StoreAwayError(added.failure.message)

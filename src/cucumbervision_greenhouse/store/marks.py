@@ -62,7 +62,7 @@ class Marks(Database):
     """Marks on fruit, stops and rounds. Each method returns the mark's number in the log.
 
     The author is who the store is signed by (`Database.signed`). All raise `StoreError` where a
-    fruit, stop or round is not there. Those that are told what was `seen` before raise
+    fruit, stop or round does not exist. With `seen`, what the caller saw before, they raise
     `StoreConflictError` where somebody else has changed it since.
     """
 

@@ -35,7 +35,7 @@ _SIDE, _COLOR_SIDE, _CORNER_SIDE = 32, 128, 320
 def is_held_out(picture: LabelledPicture, every: int) -> bool:
     """Return whether a picture is for validation: one of so many scenes, and the split 'val'.
 
-    A scene is told by its name, so that it is held out in windows and sheets of other sets, too.
+    A scene is recognised by its name, and held out in windows and sheets of other sets, too.
 
     Examples
     --------

@@ -64,7 +64,7 @@ TUBE_FEATURES = (
 
 RAW_FEATURES = ("distance_m", "holes", "log_pixels", *_MASK_FEATURES)
 
-# Fruit that extend out of sight are measured much too short. Where no flag tells that, fruit are
+# Fruit that extend out of sight are measured much too short. Where no flag shows that, fruit are
 # the more often incomplete the less background is seen beyond their ends.
 RAW_EDGES: tuple[tuple[str, tuple[float, ...]], ...] = (("goes_on", (0.5,)),)
 

@@ -9,6 +9,7 @@ it is. Nothing is imported before it is used.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.metadata import (
@@ -20,7 +21,8 @@ from importlib.metadata import (
     version,
 )
 from pkgutil import resolve_name
-from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias, TypeVar
+from threading import RLock
+from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias, TypeVar, cast
 
 from cucumbervision._version import __version__
 from cucumbervision.errors import CucumberVisionError, PluginError
@@ -147,11 +149,16 @@ class Plugin:
         # A detector or reader may say what is wrong with its input.
         says = CucumberVisionError if self.kind in ("detectors", "readers") else PluginError
         try:
-            return function(*arguments)
+            with nullcontext() if self.is_own else _ONE_CALL:
+                return function(*arguments)
         except (Exception, SystemExit) as error:
             if self.is_own or isinstance(error, says):
                 raise
             raise self.error(f"failed ({type(error).__name__}: {error})") from error
+
+
+# Captures are measured two at once, and another package's part may hold one at a time.
+_ONE_CALL = RLock()
 
 
 @lru_cache
@@ -173,8 +180,7 @@ def _installed() -> Any:
 
 def installed(group: str) -> EntryPoints:
     """Return the entry points of a group; the installed packages are looked through once."""
-    points: EntryPoints = _installed().select(group=group)
-    return points
+    return cast("EntryPoints", _installed().select(group=group))
 
 
 def plugins(kind: Kind) -> dict[str, Plugin]:

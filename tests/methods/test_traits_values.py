@@ -79,22 +79,6 @@ def test_capitals_in_a_column_are_refused() -> None:
     assert "lower case" in str(fault)
 
 
-def test_a_trait_whose_name_fails_is_left_out() -> None:
-    class Nameless:
-        unit = says = ""
-
-        @property
-        def name(self) -> str:
-            raise ValueError("no name")
-
-        def __call__(self, *_: object) -> float:
-            return 1.0
-
-    Nameless.__module__ = "another_package"
-    (fault,) = Measurer(OPTIONS, plug_ins=PlugIns(traits=(Nameless(),))).plugged.faults
-    assert "no name" in str(fault)
-
-
 def detected(capture: Capture, detector: Callable[..., Any], segmenter: Any = None) -> Any:
     plug_ins = PlugIns(detector=of_another_package(detector), segmenter=segmenter)
     return Measurer(OPTIONS, plug_ins=plug_ins).measure(capture)

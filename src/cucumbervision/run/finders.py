@@ -205,9 +205,7 @@ def make_finder(
             refused = (*detections.refused, error)
             detections = replace(detections, unmasked=frozenset(drawn), refused=refused)
         masked = dict(zip(drawn, answers, strict=True))
-        instances = tuple(
-            masked.get(k, instance) for k, instance in enumerate(detections.instances)
-        )
+        instances = tuple(masked.get(k, fruit) for k, fruit in enumerate(detections.instances))
         detections = replace(detections, stages=detections.stages | {"drawn"})
         return _finished(capture, detections, instances, networks)
 
@@ -238,11 +236,13 @@ def _segmented(
     answers = plugin.call(lambda: tuple(segmenter.segment(capture.color, tuple(prompts))))
     if len(answers) != len(prompts):
         raise plugin.error(f"returned {len(answers)} masks for {len(prompts)} fruit")
+    words = [answer.mask_failure for answer in answers]
+    faults = [fault if fault in MASK_FAILURES else MASK_FAILURES[0] for fault in words]
     return tuple(
         replace(prompt, mask=answer.mask, mask_source=MaskSource.SEGMENTER, mask_failure="")
         if answer.mask is not None and answer.mask.any()
-        else replace(prompt, mask_failure=answer.mask_failure or MASK_FAILURES[0])
-        for prompt, answer in zip(prompts, answers, strict=True)
+        else replace(prompt, mask_failure=fault)
+        for prompt, answer, fault in zip(prompts, answers, faults, strict=True)
     )
 
 
@@ -341,8 +341,6 @@ def _finder_of(plugin: Plugin, detector: Detector) -> Find:
         refused: list[CucumberVisionError] = []
         answers = plugin.call(lambda: tuple(detector(capture)))
         for number, instance in enumerate(answers, 1):
-            if not isinstance(instance, Instance):
-                raise plugin.error(f"returned {type(instance).__name__} in place of an Instance")
             try:
                 inside = plugin.call(partial(in_picture, instance, capture.width, capture.height))
             except InstancesError as error:
@@ -361,7 +359,8 @@ def _box_finder(options: MeasureOptions, networks: NetworkLoader) -> Find:
     if choice == "models":
         return _network_finder(options, networks, pose=options.pose)
     if choice not in ("auto", "dataset") and not path.exists():
-        raise InstancesError("no such file", source=path, remedy=f"give {_choices()} or a file")
+        choices = ", ".join(("auto", "models", "dataset", *plugins("detectors")))
+        raise InstancesError("no such file", source=path, remedy=f"give {choices} or a file")
     if choice not in ("auto", "dataset") and path.suffix.lower() == ".onnx":
         return _network_finder(options, networks, path, options.pose)
     pose = None if options.pose is None else networks.pose(options.pose)
@@ -369,10 +368,6 @@ def _box_finder(options: MeasureOptions, networks: NetworkLoader) -> Find:
         return _auto_finder(options, networks, pose)
     find = _dataset_or_error if choice == "dataset" else _file_finder(path)
     return _with_pose(find, pose, options.confidence)
-
-
-def _choices() -> str:
-    return ", ".join(("auto", "models", "dataset", *plugins("detectors")))
 
 
 def _auto_finder(

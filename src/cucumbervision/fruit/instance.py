@@ -127,14 +127,14 @@ class Instance:
         >>> Instance(np.array([0.0, 0.0, 9.0, 30.0])).turned(1, (100, 40)).box.tolist()
         [0.0, 30.0, 30.0, 39.0]
         """
+        if not quarters:
+            return self
         size = np.array(shape[::-1])
         turn = np.linalg.matrix_power(np.array([[0, 1], [-1, 0]]), quarters % 4)
 
         def placed(points: NDArray[np.float64]) -> NDArray[np.float64]:
             return np.asarray((points - (size - 1) / 2) @ turn.T + (abs(turn) @ size - 1) / 2)
 
-        if not quarters:
-            return self
         corners, points = placed(self.box.reshape(2, 2)), self.keypoints
         masks: dict[str, Any] = {
             name: mask if mask is None else np.ascontiguousarray(np.rot90(mask, quarters))

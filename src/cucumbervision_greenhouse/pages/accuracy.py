@@ -295,7 +295,7 @@ def measured_round(store: Store, round_key: str) -> Measured:
             )
         report.update(_made_with(stop.artifacts))
     names = tuple(capture["name"] for capture in captures)
-    asked = report.get("config", {}).get("methods", [])
+    asked = [n for n in AVAILABLE if n in report.get("config", {}).get("methods", [])]
     readings = tuple(_reading(view, table.get(view.key, view), asked) for view in fruit)
     return Measured(Path(f"round {round_key}"), readings, names, report)
 

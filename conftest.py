@@ -12,12 +12,8 @@ import pytest
 
 # The pages import Streamlit as they load, so that without it there is nothing to collect.
 collect_ignore_glob = [] if find_spec("streamlit") else ["src/cucumbervision_greenhouse/pages/*"]
-# The examples of these files compute with torch.
-_WITH_TORCH = ["src/cucumbervision_lab/train/losses.py"]
-if not find_spec("torch"):
-    collect_ignore_glob += _WITH_TORCH
 # Files of which something was skipped here: `.ci/run` runs them again where nothing is missing.
-_SKIPPED_FILES = {one for one in collect_ignore_glob if one in _WITH_TORCH}
+_SKIPPED_FILES: set[str] = set()
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:

@@ -13,10 +13,9 @@ import shutil
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 import streamlit as st
@@ -26,19 +25,14 @@ from cucumbervision.capture.frames import fuse_burst, moved_px
 from cucumbervision.capture.readers import RECORDING_SUFFIXES, CaptureRef, ReadOptions, open_source
 from cucumbervision.capture.realsense import CameraConfig, CameraSettings, RealSenseCamera
 from cucumbervision.capture.source import example_captures
-from cucumbervision.errors import (
-    CameraError,
-    CaptureError,
-    CucumberVisionError,
-    DepthError,
-    Message,
-    with_reason,
-)
+from cucumbervision.errors import CameraError, CucumberVisionError, DepthError, Message, with_reason
 from cucumbervision_greenhouse.resources import settings, where
 from cucumbervision_greenhouse.settings import REPLAY_VARIABLE
 from cucumbervision_greenhouse.store.waiting import waiting_folder
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import NDArray
 
     from cucumbervision.capture.frames import Capture
@@ -86,27 +80,6 @@ class Preview:
     message: str = ""
 
 
-class Camera(Protocol):
-    """A source of frames; as a context manager it is open."""
-
-    state: str
-    settings: CameraSettings
-
-    def __enter__(self) -> Self: ...
-
-    def __exit__(self, *error: object) -> None: ...
-
-    def read(self) -> Capture | None:
-        """Wait for the next frame and return it; None at the end of a recording.
-
-        Raises
-        ------
-        CucumberVisionError
-            If the camera sends nothing, or nothing of a folder can be read.
-        """
-        ...
-
-
 class StreamCamera:
     """A RealSense camera; with `playback` a recording, played at the rate of the preview."""
 
@@ -142,35 +115,6 @@ class StreamCamera:
             return capture
 
 
-class FolderCamera:
-    """Captures of a folder in turn, again and again; each stands still until it is taken."""
-
-    state = "replay"
-
-    def __init__(self, path: Path, burst: int = 5) -> None:
-        self.settings = CameraSettings()
-        self._source = open_source(path, ReadOptions(burst=burst))
-        self._refs: Iterator[CaptureRef] = iter(())
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        pass
-
-    def read(self) -> Capture | None:
-        """Return the next capture that can be read."""
-        fault = Message("holds no captures")
-        for _ in range(2):  # at the end start over once
-            for ref in self._refs:
-                try:
-                    return ref.load()
-                except CucumberVisionError as error:
-                    fault = error.line
-            self._refs = iter(self._source)
-        raise CaptureError(fault, source=self._source.path, remedy="choose another replay")
-
-
 @dataclass(frozen=True, eq=False)
 class _Frame:
     """A frame in the ring: its slot, and a capture whose arrays lie there."""
@@ -193,7 +137,7 @@ class FrameRing:
 
     def __init__(self, folder: Path, most: int = _MOST_FRAMES) -> None:
         self._folder, self._most = folder, most
-        self._slots: NDArray[np.uint8] = np.empty((0, 0), np.uint8)
+        self._slots: NDArray[Any] = np.empty(0)
         self._free: list[int] = []
         self.frames: list[_Frame] = []  # the oldest first
 
@@ -205,38 +149,35 @@ class FrameRing:
         CameraError
             If the disk has no room for it.
         """
-        arrays = (capture.depth_m, capture.color)
-        size = sum(array.nbytes for array in arrays)
-        if not len(self._slots) or size > self._slots.shape[1]:
-            self._allocate(size)
+        arrays = {"depth_m": capture.depth_m, "color": capture.color}
+        kind = np.dtype([(name, array.dtype, array.shape) for name, array in arrays.items()])
+        if self._slots.dtype != kind:
+            self._allocate(kind)
         self._thin(at_s)
-        slot, start, copies = self._free.pop(), 0, []
-        for array in arrays:
-            place = self._slots[slot, start : start + array.nbytes]
-            copies.append(place.view(array.dtype).reshape(array.shape))
-            copies[-1][:] = array
-            start += array.nbytes
-        kept = replace(capture, depth_m=copies[0], color=copies[1])
-        self.frames.append(_Frame(at_s, slot, kept))
+        slot = self._free.pop()
+        for name, array in arrays.items():
+            self._slots[name][slot] = array
+        places: dict[str, Any] = {name: self._slots[name][slot] for name in arrays}
+        self.frames.append(_Frame(at_s, slot, replace(capture, **places)))
 
     def clear(self) -> None:
         """Remove all frames and the file."""
-        self.frames, self._free, self._slots = [], [], np.empty((0, 0), np.uint8)
+        self.frames, self._free, self._slots = [], [], np.empty(0)
 
-    def _allocate(self, size: int) -> None:
+    def _allocate(self, kind: np.dtype[Any]) -> None:
         self.clear()
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
             room = min(_MOST_BYTES, shutil.disk_usage(self._folder).free - _RESERVE_BYTES)
-            count = min(room // size, self._most)
+            count = min(room // kind.itemsize, self._most)
             if count < 1:
                 raise OSError("no space left on the device")
             with tempfile.TemporaryFile(dir=self._folder) as file:
                 if hasattr(os, "posix_fallocate"):  # a full disk is an error here, not a crash
-                    os.posix_fallocate(file.fileno(), 0, count * size)
+                    os.posix_fallocate(file.fileno(), 0, count * kind.itemsize)
                 else:
-                    file.truncate(count * size)
-                self._slots = np.memmap(file, np.uint8, "r+", shape=(count, size))
+                    file.truncate(count * kind.itemsize)
+                self._slots = np.memmap(file, kind, "r+", shape=(count,))
         except OSError as error:
             fault = with_reason("cannot keep its frames", str(error))
             raise CameraError(fault, source=self._folder, remedy="free some space") from None
@@ -256,55 +197,12 @@ class FrameRing:
         self.frames = kept
 
 
-class Burst:
-    """The frames nearest to a moment, of which the last may still arrive."""
-
-    def __init__(self, feed: Feed, frame_count: int, pressed_s: float, reach_s: float) -> None:
-        self._feed, self._reach_s = feed, reach_s
-        self.frame_count, self.pressed_s = frame_count, pressed_s
-
-    def capture(self) -> Capture:
-        """Wait for the last frames, and return the capture fused from all.
-
-        Raises
-        ------
-        PictureGoneError
-            If no picture of the moment is held any more.
-        CucumberVisionError
-            If the camera is absent or sends nothing in time.
-        """
-        return self._feed.fused(self)
-
-    def nearest(self, frames: list[_Frame]) -> list[_Frame]:
-        """Return the frames of the burst among those that are held, in their order."""
-        by_distance = sorted(frames, key=self._away_s)
-        within = [frame for frame in by_distance if self._away_s(frame) <= self._reach_s]
-        nearest = (within or by_distance[:1])[: self.frame_count]
-        return sorted(nearest, key=lambda frame: frame.at_s)
-
-    def is_full(self, frames: list[_Frame]) -> bool:
-        """Return whether no later frame can be nearer."""
-        nearest = self.nearest(frames)
-        if not nearest:
-            return False
-        is_enough = len(nearest) == self.frame_count
-        enough_s = max(map(self._away_s, nearest)) if is_enough else self._reach_s
-        return frames[-1].at_s - self.pressed_s >= enough_s
-
-    def is_far(self, frames: list[_Frame]) -> bool:
-        """Return whether the nearest frame shows another place."""
-        return min(map(self._away_s, frames), default=math.inf) > FAR_S
-
-    def _away_s(self, frame: _Frame) -> float:
-        return abs(frame.at_s - self.pressed_s)
-
-
 class Feed:
     """A camera for any number of viewers, open while somebody looks.
 
     Parameters
     ----------
-    camera : Camera
+    camera : StreamCamera
         The source of the frames.
     folder : Path
         For the file of the ring.
@@ -312,14 +210,14 @@ class Feed:
         The camera is released after this time without a viewer.
     """
 
-    def __init__(self, camera: Camera, folder: Path, *, unwatched_s: float = HELD_S) -> None:
+    def __init__(self, camera: StreamCamera, folder: Path, *, unwatched_s: float = HELD_S) -> None:
         self._camera, self._unwatched_s = camera, unwatched_s
         self._timeout_s = CameraConfig().timeout_s
         self._changed = threading.Condition()  # holds the lock of all that follows
-        self._ring = FrameRing(folder, 2 if self._is_still else _MOST_FRAMES)
+        self._ring = FrameRing(folder)
         self._thread: threading.Thread | None = None
         self._watched_s = -math.inf
-        self._reopens, self._is_taken = False, False
+        self._reopens = False
         self._state, self._message, self._count = "opening", "", 0
         self._shown = Preview("opening", number=-1)
 
@@ -345,14 +243,16 @@ class Feed:
                 self._changed.notify_all()
         self.retry()
 
-    def grab(self, burst: int, pressed_s: float) -> Burst:
-        """Begin a burst of the frames nearest to a moment; later ones may still arrive.
+    def grab(self, burst: int, pressed_s: float) -> Capture:
+        """Return the capture that is fused from the frames nearest to a moment.
+
+        Waits for frames that may still arrive.
 
         Parameters
         ----------
         burst : int
             Frames at most, none farther from the moment than `REACH_S`, or than so many frames
-            take, unless there is none nearer. Of a folder it is its next capture.
+            take, unless there is none nearer.
         pressed_s : float
             The moment, seconds since 1970: up to `HELD_S` ago.
 
@@ -360,31 +260,48 @@ class Feed:
         ------
         PictureGoneError
             If no picture of that moment is held or can still arrive.
+        CucumberVisionError
+            If the camera is absent or sends nothing in time.
         """
+        reach_s = max(REACH_S, (burst - 1) / 2 / PREVIEW_FPS)
+
+        def away_s(frame: _Frame) -> float:
+            return abs(frame.at_s - pressed_s)
+
+        def nearest() -> list[_Frame]:
+            by_distance = sorted(self._ring.frames, key=away_s)
+            within = [frame for frame in by_distance if away_s(frame) <= reach_s]
+            return (within or by_distance[:1])[:burst]
+
+        def is_full() -> bool:  # no later frame can be nearer
+            frames = nearest()
+            enough_s = away_s(frames[-1]) if len(frames) == burst else reach_s
+            return bool(frames) and self._ring.frames[-1].at_s - pressed_s >= enough_s
+
+        def is_far() -> bool:
+            return min(map(away_s, self._ring.frames), default=math.inf) > FAR_S
+
+        until_s = time.monotonic() + self._timeout_s + burst
         with self._changed:
             self._watch()
-            grabbed = Burst(self, burst, pressed_s, max(REACH_S, (burst - 1) / 2 / PREVIEW_FPS))
             is_late = time.time() - pressed_s > FAR_S
-            if not self._is_still and is_late and grabbed.is_far(self._ring.frames):
+            while not (is_late and is_far()) and not is_full():
+                if self._state == "absent" or time.monotonic() > until_s:
+                    if not is_far():  # the available frames are enough
+                        break
+                    if self._state == "absent":
+                        raise CameraError(self._message, remedy="try again")
+                    raise CameraError("the camera sends nothing", remedy="check its cable")
+                self._changed.wait(_LOOK_S)
+                self._watch()
+            if is_far():
                 raise PictureGoneError
-        return grabbed
-
-    def fused(self, burst: Burst) -> Capture:
-        """Return the capture of a burst, as `Burst.capture`."""
-        with self._changed:
-            if self._is_still:
-                self._wait_for(lambda: bool(self._ring.frames) and not self._is_taken, burst)
-                self._is_taken = True
-                self._changed.notify_all()
-                return _copied(self._ring.frames[-1].capture)
-            self._wait_for(lambda: burst.is_full(self._ring.frames), burst)
-            frames = burst.nearest(self._ring.frames)
+            frames = sorted(nearest(), key=lambda frame: frame.at_s)
             captures = [_copied(frame.capture) for frame in frames]
         if len(captures) == 1:
             return captures[0]
         fused = fuse_burst([x.color for x in captures], [x.depth_m for x in captures])
-        first = captures[0]
-        chosen = captures[fused.burst_frame]
+        first, chosen = captures[0], captures[fused.burst_frame]
         return replace(chosen, **vars(fused), name=first.name, frame=first.frame)
 
     def close(self) -> None:
@@ -394,33 +311,6 @@ class Feed:
             self._changed.notify_all()
         if thread is not None:
             thread.join(self._timeout_s)
-
-    @property
-    def _is_still(self) -> bool:
-        return self._camera.state == "replay"
-
-    def _wait_for(self, is_there: Callable[[], bool], burst: Burst) -> None:
-        """Wait for frames, with the lock held.
-
-        Raises
-        ------
-        CameraError
-            If the camera is absent, or sends nothing in time.
-        """
-        wait_s = math.inf if self._is_still else self._timeout_s + burst.frame_count
-        until_s = time.monotonic() + wait_s
-        while not is_there():
-            self._watch()
-            is_absent = self._state == "absent"
-            if is_absent or time.monotonic() > until_s:
-                if not burst.is_far(self._ring.frames):  # the available frames are enough
-                    return
-                if is_absent:
-                    raise CameraError(self._message, remedy="try again")
-                raise CameraError("the camera sends nothing", remedy="check its cable")
-            self._changed.wait(_LOOK_S)
-        if not self._is_still and burst.is_far(self._ring.frames):
-            raise PictureGoneError
 
     def _watch(self) -> None:
         """Report a viewer; open the camera unless it is open or absent."""
@@ -453,10 +343,7 @@ class Feed:
                     return True
                 with self._changed:
                     self._ring.put(capture, _taken_s(capture, time.time()))
-                    self._is_taken = False
                     self._tell(camera.state)
-                    while self._is_still and not self._is_taken and self._is_watched():
-                        self._changed.wait(_LOOK_S)
         return self._reopens
 
     def _is_watched(self) -> bool:
@@ -473,11 +360,67 @@ class Feed:
             return Preview(self._state, number=self._count, message=self._message)
         *before, frame = self._ring.frames[-2:]
         capture = looked_at = _copied(frame.capture)
-        is_next = before and not self._is_still and frame.at_s - before[0].at_s <= REACH_S
+        is_next = before and frame.at_s - before[0].at_s <= REACH_S
         if is_next and before[0].capture.color.shape == capture.color.shape:
             [moved] = moved_px(before[0].capture.color, [capture.color])
             looked_at = replace(capture, moved_px=moved)
         return Preview(self._state, capture, depth_quality(looked_at), self._count)
+
+
+class FolderFeed:
+    """Captures of a folder in turn, again and again: each press takes the one that is shown.
+
+    A folder has no moments, so that late presses, and those before a restart, get captures as well.
+
+    Parameters
+    ----------
+    path : Path
+        Folder or file that `open_source` knows.
+    burst : int
+        Frames that are fused, as in `ReadOptions`.
+    """
+
+    def __init__(self, path: Path, burst: int = 5) -> None:
+        self._source = open_source(path, ReadOptions(burst=burst))
+        self._refs: Iterator[CaptureRef] = iter(())
+        self._lock = threading.Lock()
+        self._shown: Preview | None = None
+        self._count = 0
+
+    def preview(self) -> Preview:
+        """Return the capture that the next press takes."""
+        with self._lock:
+            self._shown = self._shown or self._next()
+            return self._shown
+
+    def grab(self, burst: int, pressed_s: float) -> Capture:  # noqa: ARG002, as of `Feed`
+        """Return the capture that is shown, and go on to the next.
+
+        Raises
+        ------
+        CameraError
+            If none can be read.
+        """
+        with self._lock:
+            shown = self._shown or self._next()
+            if shown.capture is None:
+                raise CameraError(shown.message, remedy="choose another replay")
+            self._shown = None
+            return shown.capture
+
+    def _next(self) -> Preview:
+        """Read the next capture that can be read."""
+        self._count += 1
+        fault = Message("holds no captures")
+        for _ in range(2):  # at the end start over once
+            for ref in self._refs:
+                try:
+                    capture = ref.load()
+                    return Preview("replay", capture, depth_quality(capture), self._count)
+                except CucumberVisionError as error:
+                    fault = error.line
+            self._refs = iter(self._source)
+        return Preview("absent", number=self._count, message=fault)
 
 
 def _copied(capture: Capture) -> Capture:
@@ -490,8 +433,8 @@ def _taken_s(capture: Capture, now_s: float) -> float:
     return camera_s if camera_s is not None and 0 <= now_s - camera_s < _CLOCK_S else now_s
 
 
-def _feed_of(name: str, source: Camera) -> Feed:
-    feed = Feed(source, waiting_folder(where()).with_suffix(".frames") / name)
+def _feed_of(name: str, config: CameraConfig) -> Feed:
+    feed = Feed(StreamCamera(config), waiting_folder(where()).with_suffix(".frames") / name)
     atexit.register(feed.close)  # the next program may need the camera at once
     return feed
 
@@ -499,19 +442,16 @@ def _feed_of(name: str, source: Camera) -> Feed:
 @st.cache_resource(show_spinner=False)
 def camera() -> Feed:
     """Return the camera, which opens for its first viewer."""
-    return _feed_of(
-        "camera", StreamCamera(CameraConfig(fps=PREVIEW_FPS, settings=settings().camera))
-    )
+    return _feed_of("camera", CameraConfig(fps=PREVIEW_FPS, settings=settings().camera))
 
 
 @st.cache_resource(show_spinner=False)
-def _replay(burst: int) -> Feed:
+def _replay(burst: int) -> Feed | FolderFeed:
     chosen = Path(os.environ.get(REPLAY_VARIABLE) or example_captures())
     if chosen.suffix.lower() in RECORDING_SUFFIXES:
         # As a camera would send it, so that a walk can be tried.
-        playing = CameraConfig(playback=chosen, warm_up=0, fps=PREVIEW_FPS)
-        return _feed_of("replay", StreamCamera(playing))
-    return _feed_of("replay", FolderCamera(chosen, burst))
+        return _feed_of("replay", CameraConfig(playback=chosen, warm_up=0, fps=PREVIEW_FPS))
+    return FolderFeed(chosen, burst)
 
 
 def replay_named() -> bool:
@@ -519,7 +459,7 @@ def replay_named() -> bool:
     return bool(os.environ.get(REPLAY_VARIABLE))
 
 
-def feed(kind: str) -> Feed:
+def feed(kind: str) -> Feed | FolderFeed:
     """Return the camera, or for 'replay' the replay.
 
     Raises

@@ -1,4 +1,4 @@
-"""Routes of the capture page: the page, its pictures, presses and news.
+"""The capture page: its files and pictures, the walk, presses, undo and outlines, as JSON.
 
 The page is used while walking, where connections drop, so it is made of plain modules without
 Streamlit, and asks for news and pictures again and again.
@@ -9,9 +9,11 @@ from __future__ import annotations
 import json
 import struct
 import time
+from dataclasses import asdict
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
+from urllib.parse import quote
 
 import streamlit as st
 from pydantic import Field, model_validator
@@ -20,28 +22,62 @@ from starlette.responses import FileResponse, Response
 from starlette.routing import Route
 
 from cucumbervision.capture.frames import Stop
-from cucumbervision.errors import CucumberVisionError, NameRefusedError
+from cucumbervision.crop.grades import grade
+from cucumbervision.errors import CucumberVisionError, Message, NameRefusedError, StoreError
 from cucumbervision.names import LONGEST_NAME
 from cucumbervision.run.overlay import as_jpeg
 from cucumbervision_greenhouse import resources, round_view, tasks
 from cucumbervision_greenhouse.answers import Key, Sent, answer, store_of
-from cucumbervision_greenhouse.camera import cameras, state
+from cucumbervision_greenhouse.camera import cameras
 from cucumbervision_greenhouse.camera.shutter import Press, Shutter
-from cucumbervision_greenhouse.fruit_pictures import PICTURE_FILES, depth_picture, scale_bar
-from cucumbervision_greenhouse.language import ask_for, language, marked, page_text, words_of
+from cucumbervision_greenhouse.fruit_pictures import (
+    PICTURE_FILES,
+    depth_picture,
+    mask_outline,
+    scale_bar,
+    stop_layers,
+)
+from cucumbervision_greenhouse.language import (
+    ask_for,
+    counted,
+    language,
+    marked,
+    page_text,
+    words_of,
+)
 from cucumbervision_greenhouse.language import gettext as _
-from cucumbervision_greenhouse.store.records import Round
+from cucumbervision_greenhouse.rounds.walking import DEMONSTRATION, next_place, sides_of
+from cucumbervision_greenhouse.store.marks import TAKE_BACK
+from cucumbervision_greenhouse.store.records import Round, Verdict
 from cucumbervision_greenhouse.theme import style_sheet
+from cucumbervision_greenhouse.words import (
+    action_words,
+    added_words,
+    grade_words,
+    length_words,
+    position_words,
+    round_name,
+    stop_name,
+    taken_back,
+)
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
     from starlette.requests import Request
 
+    from cucumbervision.capture.frames import Capture
     from cucumbervision_greenhouse.camera.cameras import Preview
     from cucumbervision_greenhouse.camera.shutter import Pressed
+    from cucumbervision_greenhouse.jobs import Job
+    from cucumbervision_greenhouse.store.records import LogEntry, StopRecord
+    from cucumbervision_greenhouse.store.repository import Store
 
+SentT = TypeVar("SentT", bound=Sent)
 
 _STATIC = Path(__file__).with_name("static")
 _MEDIA_TYPES = {"html": "text/html", "js": "text/javascript"}  # of files with texts
+_UNDO_S = 60.0  # longest wait for a stop that is being measured
 _PRESS_S = 4.0  # longest delay of the answer until presses are saved
 _LONGEST_ROW_M = 1000.0
 _MOST_TOGETHER = 50  # presses in one request
@@ -120,75 +156,332 @@ def _shutter() -> Shutter:
 @answer
 def _walk(request: Request, _: bytes) -> Any:
     asked = request.query_params
-    return state.walk(store_of(request), asked.get("round", ""), asked.get("source", ""))
+    return walk(store_of(request), asked.get("round", ""), asked.get("source", ""))
 
 
-@answer
-def _press(request: Request, content: bytes) -> Any:  # noqa: ARG001
-    sent = SentPresses.model_validate_json(content).presses
-    burst, round_keys = (
-        resources.settings().burst,
-        {round_summary.key for round_summary in resources.rounds()},
-    )
-    taken: list[Pressed | str | None] = []
-    for sent_press in sent:  # all at once, so that no press waits for the last frames of another
-        try:
-            stop = Stop(
-                sent_press.row.strip() or None, sent_press.side or None, sent_press.position_m
-            )
-        except NameRefusedError as error:
-            taken.append(words_of(error))
-            continue
-        if sent_press.position_m > _LONGEST_ROW_M:
-            taken.append(_("no row is as long as this position: correct it and press again"))
-            continue
-        press = Press(sent_press.number, sent_press.at_s)
-        if sent_press.round not in round_keys:
-            taken.append(_("the round was deleted"))
-            continue
-        feed = cameras.feed(sent_press.source)
-        taken.append(_shutter().press(feed, burst, sent_press.round, stop, press))
+def walk(store: Store, round_key: str, source: str) -> dict[str, Any]:
+    """Return the state of a walk.
+
+    Parameters
+    ----------
+    store : Store
+        Signed by the viewer.
+    round_key : str
+        The open round; empty for the newest. An unknown key opens none.
+    source : str
+        'camera' or 'replay'; with any other value, the one that the server was started with.
+    """
+    rounds = resources.rounds()
+    if source not in ("camera", "replay"):
+        source = "replay" if cameras.replay_named() else "camera"
+    round_summary = next((x for x in rounds if round_key in ("", x.key)), None)
+    home = round_summary.key if round_summary else ""
+    if (preview := _preview_of(source)) is not None and preview.simulated:
+        home = DEMONSTRATION
+    stops = resources.store().stops(home) if any(x.key == home for x in rounds) else []
+    waiting = [x.stop for x in resources.waiting().captures() if x.round_key == home]
+    place, last = next_place([*stops, *waiting]), stops[-1] if stops else None
+    aside = [x for x in resources.waiting().set_aside() if x.round_key == home]
+    progress = tasks.progress(home)
+    return {
+        "now_s": time.time(),
+        "zone_s": time.localtime().tm_gmtoff,
+        "rounds": [{"key": x.key, "name": round_name(x)} for x in rounds],
+        "houses": resources.houses(rounds),
+        "round": round_summary.key if round_summary else "",
+        "missing": bool(round_key) and round_summary is None,
+        "house": round_summary.house if round_summary else "",
+        "home": home,
+        "source": source,
+        "place": asdict(place),
+        "along": resources.settings().units.along,
+        "rows": _rows([*stops, *waiting]),
+        "from": last and {"key": last.key, **_place(last)},
+        "sides": sides_of(stops),
+        "work": progress.told,
+        "first": progress.first_words or _no_photo(home, round_summary),
+        "doubts": [
+            words_of(line) for x in rounds if x.key == home for line in round_view.doubts_of(x)
+        ],
+        "aside": counted(
+            len(aside),
+            "{n} photo failed three times and was not measured; it is kept beside the store in "
+            "{folder}.",
+            "{n} photos failed three times and were not measured; they are kept beside the store "
+            "in {folder}.",
+            folder=aside[0].folder.parent.name,
+        )
+        if aside
+        else tasks.measuring_fault(),
+        "last": _last_stop(round_summary, last) if round_summary and last else None,
+        "done": _done(store, home),
+    }
+
+
+def _no_photo(home: str, round_summary: Round | None) -> str:
+    """Return the words where a photo goes into another round than the open one: it has stops."""
+    if round_summary is None or home == round_summary.key:
+        return ""
+    return _("No photo in the round 'Demonstration' yet: each photo's result is shown here")
+
+
+def _rows(stops: Sequence[Stop | StopRecord]) -> dict[str, dict[str, Any]]:
+    """Return where the walk of each row goes on, by the rows' names."""
+    rows = dict.fromkeys(stop.row or "" for stop in stops)
+    return {row: asdict(next_place([x for x in stops if (x.row or "") == row])) for row in rows}
+
+
+def _done(store: Store, home: str) -> dict[str, Any] | None:
+    """Return the viewer's last action in a round other than a press, for *Undo*."""
+    action = _last_action(store, home)
+    return None if action is None else {"at_s": action.at_s, "words": action_words(action)}
+
+
+def _preview_of(source: str) -> Any:
+    try:
+        return cameras.feed(source).preview().capture
+    except CucumberVisionError:
+        return None
+
+
+def _last_stop(round_summary: Round, last: StopRecord) -> dict[str, Any]:
+    """Return the last measured stop: its pictures, with the outlines of its fruit."""
+    store, units = resources.store(), resources.settings().units
+    record, profile = store.stop(last.key), resources.profile_of(round_summary)[1]
+    views = [
+        view
+        for view in store.detections(last.round_key)
+        if view.stop_key == last.key and view.verdict is not Verdict.REJECTED
+    ]
+    grades = {view.key: grade(view, profile) for view in views}
+    names = {key: graded.label for key, graded in grades.items()}
+    captures = []
+    for taken in record.captures:
+        capture_views = [view for view in views if view.capture == taken.name]
+        captures.append(
+            {
+                "name": taken.name,
+                "picture": f"/api/picture/{last.key}/{quote(taken.name)}",
+                "size": [taken.width_px, taken.height_px],
+                "layers": stop_layers(taken, capture_views, names, units),
+                "fruit": [
+                    {
+                        "key": view.key,
+                        "number": view.fruit,
+                        "length": length_words(view, units),
+                        "class": grade_words(grades[view.key]),
+                    }
+                    for view in capture_views
+                ],
+            }
+        )
+    failure = next(iter(record.failures), {"message": ""})
+    fault = words_of(Message.from_json(failure.get("sentence", failure["message"])))
+    return {
+        "key": last.key,
+        "round": last.round_key,
+        "name": stop_name(last, units),
+        "fault": fault,
+        "captures": captures,
+    }
+
+
+def _press(_store: Store, sent: SentPresses) -> dict[str, Any]:
+    open_rounds = {round_summary.key for round_summary in resources.rounds()}
+    # All at once, so that no press waits for the last frames of another.
+    taken = [_pressed(press, open_rounds) for press in sent.presses]
     until_s = time.monotonic() + _PRESS_S
     return {
         "presses": [
-            {"number": sent_press.number, **state.outcome(pressed, until_s - time.monotonic())}
-            for sent_press, pressed in zip(sent, taken, strict=True)
+            {"number": press.number, **_outcome(pressed, until_s - time.monotonic())}
+            for press, pressed in zip(sent.presses, taken, strict=True)
         ]
     }
 
 
-@answer
-def _begin(request: Request, content: bytes) -> Any:
-    sent = SentRound.model_validate_json(content)
+def _pressed(sent: SentPress, open_rounds: set[str]) -> Pressed | str | None:
+    """Press the shutter; return the reason instead where a press is refused."""
+    try:
+        stop = Stop(sent.row.strip() or None, sent.side or None, sent.position_m)
+    except NameRefusedError as error:
+        return words_of(error)
+    if sent.position_m > _LONGEST_ROW_M:
+        return _("no row is as long as this position: correct it and press again")
+    if sent.round not in open_rounds:
+        return _("the round was deleted")
+    feed, burst = cameras.feed(sent.source), resources.settings().burst
+    return _shutter().press(feed, burst, sent.round, stop, Press(sent.number, sent.at_s))
+
+
+def _begin(store: Store, sent: SentRound) -> dict[str, Any]:
     profile = resources.settings().profile
     record = Round(name=sent.name, house=sent.house, profile=profile)
-    store_of(request).save_round(record)
+    store.save_round(record)
     return {"round": record.key}
 
 
-@answer
-def _undo(request: Request, content: bytes) -> Any:
-    return state.take_back(store_of(request), SentUndo.model_validate_json(content))
+def _outcome(pressed: Pressed | str | None, patience_s: float) -> dict[str, Any]:
+    """Return the outcome of a press, once it is saved or has failed.
+
+    Parameters
+    ----------
+    pressed : Pressed, str or None
+        As `Shutter.press` returned it; a text is the reason for a refusal.
+    patience_s : float
+        Longest wait; then the outcome is 'waiting', and the browser asks again.
+    """
+    if pressed is None:  # saved before this program was started
+        return {"state": "saved", "words": _("Saved")}
+    if isinstance(pressed, str):
+        return {"state": "refused", "words": pressed}
+    try:
+        queued = pressed.queued.result(max(patience_s, 0.0))
+    except Exception:  # `error` is None while it is undecided
+        state = "refused" if pressed.is_lost else "waiting"
+        return {"state": state, "words": pressed.error, "lost": pressed.is_lost}
+    units = resources.settings().units
+    words = _("{stop}: saved").format(stop=stop_name(queued.stop, units))
+    if pressed.moved is not None:
+        taken = _("Another stop is already at {position}")
+        words += f". {taken.format(position=position_words(pressed.stop.position_m, units))}"
+    where = {"stop": queued.key, "home": queued.round_key, "place": _place(queued.stop)}
+    return {"state": "saved", "words": words, **where}
 
 
-@answer
-def _add_fruit(request: Request, content: bytes) -> Any:
-    sent = SentFruit.model_validate_json(content)
-    if sent.fruit is not None:
-        return state.correct_fruit(store_of(request), sent, sent.fruit)
-    return state.add_fruit(store_of(request), sent)
+def _place(stop: Stop | StopRecord) -> dict[str, Any]:
+    return {"row": stop.row or "", "side": stop.side or "", "position_m": stop.position_m}
 
 
-@answer
-def _prepare(request: Request, content: bytes) -> Any:  # noqa: ARG001
-    state.prepare(SentPicture.model_validate_json(content))
+def _take_back(store: Store, asked: SentUndo) -> dict[str, Any]:
+    """Undo a browser's last action in a round, and return it in words.
+
+    A press is taken back by deleting its stop, measured or not.
+
+    Raises
+    ------
+    StoreError
+        If there is nothing to undo, the stop does not exist, or is still being measured.
+    """
+    home, pressed_s = asked.round or "", 0.0
+    if asked.stop is not None:
+        home, pressed_s = _round_and_time(store, asked.stop)
+    action = _last_action(store, home)
+    if action is not None and action.at_s > (asked.at_s or pressed_s):
+        tasks.undo(store, home, number=action.number)
+        return {"words": taken_back(action), "action": action.number}
+    if asked.stop is None:
+        raise StoreError("nothing to undo", remedy="delete a stop on the row map")
+    return {"words": _delete_stop(store, asked.stop)}
+
+
+def _round_and_time(store: Store, stop: str) -> tuple[str, float]:
+    """Return the round of a measured or queued stop, and when it was taken."""
+    for queued in resources.waiting().captures():
+        if queued.key == stop:
+            return queued.round_key, queued.pressed_s
+    saved = store.stop(stop)
+    return saved.round_key, saved.taken_s
+
+
+def _last_action(store: Store, round_key: str) -> LogEntry | None:
+    """Return a viewer's last action in a round, ignoring presses that were undone."""
+    if store.round(round_key) is None:
+        return None
+    actions = store.own_actions(round_key)
+    return next((action for action in actions if action.kind != TAKE_BACK), None)
+
+
+def _delete_stop(store: Store, key: str) -> str:
+    waiting = next((x for x in resources.waiting().captures() if x.key == key), None)
+    if waiting is not None and not waiting.tries:
+        resources.waiting().done(waiting)
+        return _("{stop}: deleted").format(stop=stop_name(waiting.stop, resources.settings().units))
+    until = time.monotonic() + _UNDO_S
+    while resources.waiting().holds(key):  # it is being measured
+        if time.monotonic() > until:
+            raise StoreError("this stop is still being measured", remedy="try again")
+        time.sleep(0.05)
+    stop = store.stop(key)
+    store.delete_stop(key, taken_back=True)
+    tasks.merge(stop.round_key)
+    return _("The last stop was deleted. 'Undo' on the row map brings it back")
+
+
+def _work(title: str, round_key: str, work: Callable[[Job], Any]) -> Job:
+    """Do work in its turn, since the networks serve one request at a time."""
+    job = resources.worker().submit(title, work, round_key)
+    job.wait()
+    return job
+
+
+def _outline(_store: Store, asked: SentFruit) -> dict[str, Any]:
+    """Return the outlines of the object at a point or in a box, as a preview."""
+    record, capture = _picture_of(asked)
+    measurer = resources.measurer()
+    job = _work(
+        marked("Outlining the fruit"),
+        record.round_key,
+        lambda _: measurer.draft_of(capture, asked.point, asked.box),
+    )
+    return {"outline": mask_outline(job.result)}
+
+
+def _prepare(_store: Store, asked: SentPicture) -> dict[str, Any]:
+    """Begin to compute what outlining needs of a picture, since somebody is about to tap into it.
+
+    Raises
+    ------
+    StoreError
+        If the picture is not there.
+    """
+    record, capture = _picture_of(asked)
+    measurer = resources.measurer()
+    title = marked("Preparing the picture")
+    resources.worker().submit(title, lambda _: measurer.prepare(capture), record.round_key)
     return {}
 
 
-@answer
-def _outline(request: Request, content: bytes) -> Any:  # noqa: ARG001
-    sent = SentFruit.model_validate_json(content)
-    return state.outline(sent)
+def _add_fruit(store: Store, asked: SentFruit) -> dict[str, Any]:
+    """Outline and measure a fruit that was missed, or one anew.
+
+    Raises
+    ------
+    InstancesError
+        If there is no fruit, it is another one, or it was found before.
+    """
+    if asked.fruit is not None:
+        return _correct_fruit(store, asked, asked.fruit)
+    record, capture = _picture_of(asked)
+    options, measurer = resources.settings().options, resources.measurer()
+
+    def work(_: Job) -> str:
+        mask = measurer.mask_of(capture, asked.point, asked.box)
+        return measurer.add(store, record, capture, mask, options)
+
+    job = _work(marked("Measuring the fruit"), record.round_key, work)
+    return {"words": added_words(doubtful=store.detection(job.result).view.doubtful)}
+
+
+def _correct_fruit(store: Store, asked: SentFruit, key: str) -> dict[str, Any]:
+    detail = store.detection(key)
+    capture = round_view.capture_of(detail.stop, detail.capture)
+    options, measurer = resources.settings().options, resources.measurer()
+
+    def work(_: Job) -> int:
+        mask = measurer.mask_of(capture, asked.point, asked.box)
+        return measurer.correct(store, detail, capture, mask, options)
+
+    job = _work(marked("Measuring with the new outline"), detail.view.round_key, work)
+    return {"job": job.number, "action": job.result}
+
+
+def _picture_of(asked: SentPicture) -> tuple[StopRecord, Capture]:
+    store = resources.store()
+    record = store.stop(asked.stop)
+    taken = next((capture for capture in record.captures if capture.name == asked.capture), None)
+    if taken is None:
+        raise StoreError("this picture is not there any more", remedy="reload the page")
+    return record, round_view.capture_of(record, taken)
 
 
 @answer
@@ -248,20 +541,29 @@ async def _static(request: Request) -> Response:
     return _file(request, path, {"service-worker-allowed": "/capture"})
 
 
+def _post(path: str, kind: type[SentT], act: Callable[[Store, SentT], Any]) -> Route:
+    """Return a route that does something with the content of a request."""
+
+    @answer
+    def work(request: Request, content: bytes) -> Any:
+        return act(store_of(request), kind.model_validate_json(content))
+
+    return Route(path, work, methods=["POST"])
+
+
 def routes() -> list[Route]:
     """Return the routes of the capture page."""
-    post = ["POST"]
     return [
         Route("/capture", _capture_page),
         Route("/capture/{name}", _static),
         Route("/api/walk", _walk),
-        Route("/api/press", _press, methods=post),
-        Route("/api/rounds", _begin, methods=post),
-        Route("/api/undo", _undo, methods=post),
-        Route("/api/fruit", _add_fruit, methods=post),
-        Route("/api/prepare", _prepare, methods=post),
-        Route("/api/outline", _outline, methods=post),
-        Route("/api/camera", _retry, methods=post),
+        _post("/api/press", SentPresses, _press),
+        _post("/api/rounds", SentRound, _begin),
+        _post("/api/undo", SentUndo, _take_back),
+        _post("/api/fruit", SentFruit, _add_fruit),
+        _post("/api/prepare", SentPicture, _prepare),
+        _post("/api/outline", SentFruit, _outline),
+        Route("/api/camera", _retry, methods=["POST"]),
         Route("/api/picture/{stop}/{capture:path}", _picture),
         Route("/api/preview", _preview),
         Route("/api/news", _news),

@@ -9,7 +9,6 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from cucumbervision.errors import CameraError
 from cucumbervision_greenhouse.camera.cameras import PictureGoneError
 from cucumbervision_greenhouse.jobs import fault_of
 from cucumbervision_greenhouse.rounds.walking import last_step, round_for_capture, unless_taken
@@ -19,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from cucumbervision.capture.frames import Stop
-    from cucumbervision_greenhouse.camera.cameras import Burst, Feed
+    from cucumbervision_greenhouse.camera.cameras import Feed, FolderFeed
     from cucumbervision_greenhouse.store.records import StopRecord
     from cucumbervision_greenhouse.store.repository import Store
     from cucumbervision_greenhouse.store.waiting import Waiting, WaitingCaptures
@@ -102,7 +101,7 @@ class Shutter:
         self._pressed: OrderedDict[tuple[str, str], Pressed] = OrderedDict()
 
     def press(
-        self, feed: Feed, burst: int, round_key: str, stop: Stop, press: Press
+        self, feed: Feed | FolderFeed, burst: int, round_key: str, stop: Stop, press: Press
     ) -> Pressed | None:
         """Grab a burst for a press; return its outcome, or None if it was saved before.
 
@@ -119,16 +118,8 @@ class Shutter:
                 return before
             if self._was_kept(key_of("press", *name)):  # before this program was started
                 return None
-            queued: Future[Waiting] = Future()
-            try:
-                grabbed = feed.grab(burst, at_s)
-            except CameraError as error:
-                queued.set_exception(error)
-            else:
-                queued = self._pool.submit(
-                    self._keep, grabbed, round_key, stop, Press(press.number, at_s)
-                )
-            self._pressed[name] = Pressed(stop, at_s, queued)
+            parts = feed, burst, round_key, stop, Press(press.number, at_s)
+            self._pressed[name] = Pressed(stop, at_s, self._pool.submit(self._keep, *parts))
             while len(self._pressed) > _REMEMBERED:
                 self._pressed.popitem(last=False)
             return self._pressed[name]
@@ -145,8 +136,10 @@ class Shutter:
         """Save all presses, then end."""
         self._pool.shutdown(wait=True)
 
-    def _keep(self, grabbed: Burst, round_key: str, stop: Stop, press: Press) -> Waiting:
-        capture = grabbed.capture()
+    def _keep(
+        self, feed: Feed | FolderFeed, burst: int, round_key: str, stop: Stop, press: Press
+    ) -> Waiting:
+        capture = feed.grab(burst, press.at_s)
         home = round_for_capture(self._store, round_key, simulated=capture.simulated)
         waiting = [queued.stop for queued in self._waiting.captures() if queued.round_key == home]
         taken: list[Stop | StopRecord] = [*self._store.stops(home), *waiting]

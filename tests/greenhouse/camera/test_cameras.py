@@ -20,7 +20,7 @@ from cucumbervision_greenhouse.camera import cameras
 from cucumbervision_greenhouse.camera.cameras import (
     HELD_S,
     Feed,
-    FolderCamera,
+    FolderFeed,
     FrameRing,
     PictureGoneError,
     Preview,
@@ -39,12 +39,11 @@ def frame(number: int, step_px: int = 0, timestamp_s: float | None = None) -> Ca
     return Capture(color, depth, LENS, f"c{number}", frame=number, timestamp_s=timestamp_s)
 
 
-class Walking:
+class Walking(StreamCamera):
     """A camera that sends the frames that a test lets go, each at its time."""
 
-    state, settings = "live", CameraSettings()
-
     def __init__(self, step_px: int = 0) -> None:
+        super().__init__(CameraConfig())
         self.step_px, self.count, self.opened = step_px, 0, list[CameraSettings]()
         self.due, self.released = threading.Semaphore(0), threading.Event()
 
@@ -105,7 +104,7 @@ def test_a_recording_is_played_as_a_camera_and_begins_again(
     feed = Feed(StreamCamera(CameraConfig(playback=recording, warm_up=0, fps=15)), tmp_path)
     first = shown(feed, "playing")
     assert first.capture is not None
-    taken = feed.grab(5, time.time()).capture()
+    taken = feed.grab(5, time.time())
     feed.close()
     assert feed._thread is None
     assert 1 <= taken.burst_size <= 5
@@ -133,7 +132,7 @@ def test_without_a_camera_the_reason_is_given_and_it_can_be_looked_for_again(
     absent = shown(feed, "absent")
     assert "camera" in absent.message
     with pytest.raises(CameraError):
-        feed.grab(1, time.time()).capture()
+        feed.grab(1, time.time())
     assert feed._thread is None
     feed.retry()
     assert shown(feed, "absent", absent.number).number > absent.number
@@ -195,9 +194,9 @@ def test_a_late_press_gets_the_picture_of_its_moment(tmp_path: Path) -> None:
     now_s = time.time() - 10
     feed = held(tmp_path, 0.0, 0.5, 1.0, 1.5, 2.0, 4.0, now_s=now_s)
     for pressed_s, number in ((0.1, 0), (0.3, 1), (1.6, 3), (2.9, 4)):
-        assert feed.grab(1, now_s + pressed_s).capture().frame == number
+        assert feed.grab(1, now_s + pressed_s).frame == number
     # Frames within 0.15 s are fused, of which there is none but the nearest.
-    assert feed.grab(5, now_s + 1.0).capture().burst_size == 1
+    assert feed.grab(5, now_s + 1.0).burst_size == 1
     with pytest.raises(PictureGoneError):
         feed.grab(1, now_s - 2.0)
 
@@ -205,7 +204,7 @@ def test_a_late_press_gets_the_picture_of_its_moment(tmp_path: Path) -> None:
 def test_a_burst_is_the_nearest_frames_however_they_lie_about_the_press(tmp_path: Path) -> None:
     now_s = time.time()
     times = (-0.14, -0.08, -0.03, -0.01, 0.05, 0.12, 0.3)
-    fused = held(tmp_path, *times, now_s=now_s).grab(5, now_s).capture()
+    fused = held(tmp_path, *times, now_s=now_s).grab(5, now_s)
     assert (fused.burst_size, fused.name) == (5, "c1")
     # The median of 0.501 to 0.505 m.
     assert fused.depth_m == pytest.approx(np.full((180, 320), 0.503), abs=1e-6)
@@ -217,7 +216,7 @@ def test_a_press_between_frames_waits_for_the_next_and_takes_the_nearer(tmp_path
     camera.send(feed)
     pressed_s = time.time() + 0.3
     with ThreadPoolExecutor(1) as pool:
-        taken = pool.submit(feed.grab(1, pressed_s).capture)
+        taken = pool.submit(feed.grab, 1, pressed_s)
         assert not taken.done()
         while not taken.done():  # frames until one lies behind the press
             camera.send(feed)
@@ -226,39 +225,33 @@ def test_a_press_between_frames_waits_for_the_next_and_takes_the_nearer(tmp_path
     feed.close()
 
 
-def test_a_folder_shows_what_the_next_press_takes_and_begins_again_at_its_end(
-    tmp_path: Path,
-) -> None:
-    feed, names = Feed(FolderCamera(example_captures()), tmp_path), []
+def test_a_folder_shows_what_the_next_press_takes_and_begins_again_at_its_end() -> None:
+    feed, names = FolderFeed(example_captures()), []
     for _ in range(4):
-        with feed._changed:
-            feed._watch()
-            assert feed._changed.wait_for(lambda: bool(feed._ring.frames) and not feed._is_taken)
-            preview = feed.preview()
+        preview = feed.preview()
+        assert preview is feed.preview()
         assert preview.capture is not None
         assert preview.quality is not None
         # A folder has no moments: presses of a gap or a kill are served as well.
-        names.append(feed.grab(5, time.time() - 500).capture().name)
+        names.append(feed.grab(5, time.time() - 500).name)
         assert names[-1] == preview.capture.name
-    feed.close()
     assert names == ["simulated-bench", "simulated-row-a", "simulated-row-b", "simulated-bench"]
 
 
 def test_a_folder_with_nothing_readable_says_so(tmp_path: Path) -> None:
-    broken = tmp_path / "one"
-    broken.mkdir()
-    (broken / "capture.json").write_text("{")
-    feed = Feed(FolderCamera(tmp_path), tmp_path / "ring")
-    assert "capture.json" in shown(feed, "absent").message
+    (tmp_path / "one").mkdir()
+    (tmp_path / "one" / "capture.json").write_text("{")
+    feed = FolderFeed(tmp_path)
+    assert feed.preview().state == "absent"
+    assert "capture.json" in feed.preview().message
     with pytest.raises(CameraError, match=r"capture\.json"):
-        feed.grab(1, time.time()).capture()
+        feed.grab(1, time.time())
 
 
-def test_many_who_press_at_once_each_get_the_next_capture(tmp_path: Path) -> None:
-    feed = Feed(FolderCamera(example_captures()), tmp_path)
+def test_many_who_press_at_once_each_get_the_next_capture() -> None:
+    feed = FolderFeed(example_captures())
     with ThreadPoolExecutor(8) as hands:
-        names = list(hands.map(lambda _: feed.grab(1, time.time()).capture().name, range(24)))
-    feed.close()
+        names = list(hands.map(lambda _: feed.grab(1, time.time()).name, range(24)))
     assert {name: names.count(name) for name in names} == {
         "simulated-bench": 8,
         "simulated-row-a": 8,

@@ -15,7 +15,7 @@ from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import InstancesError, StoreError
 from cucumbervision.networks.registry import load_registry
 from cucumbervision.run.options import MeasureOptions
-from cucumbervision_greenhouse.camera.cameras import Feed, FolderCamera, StreamCamera
+from cucumbervision_greenhouse.camera.cameras import Feed, FolderFeed, StreamCamera
 from cucumbervision_greenhouse.camera.shutter import Press, Shutter
 from cucumbervision_greenhouse.jobs import Job
 from cucumbervision_greenhouse.measuring import SharedMeasurer, measure_waiting
@@ -32,20 +32,20 @@ def waiting(tmp_path: Path) -> WaitingCaptures:
     return WaitingCaptures(tmp_path / "kept")
 
 
-def folder(path: Path) -> Feed:
-    return Feed(FolderCamera(example_captures()), path.with_suffix(".frames"))
+def folder() -> FolderFeed:
+    return FolderFeed(example_captures())
 
 
 def played(recording: Path, path: Path) -> Feed:
     """A recording in the camera's place, of which the first frame is there."""
     feed = Feed(StreamCamera(CameraConfig(playback=recording, warm_up=0, fps=15)), path / "frames")
-    feed.grab(1, time.time()).capture()
+    feed.grab(1, time.time())
     return feed
 
 
-def held(path: Path, seconds: float) -> Feed:
+def held(path: Path, seconds: float, now_s: float) -> Feed:
     """A camera that has been open for some time, and sends no more."""
-    feed, now_s = Feed(Walking(), path / "frames"), time.time()
+    feed = Feed(Walking(), path / "frames")
     with feed._changed:
         for number in range(int(4 * seconds) + 1):
             feed._ring.put(frame(number), now_s - seconds + 0.25 * number)
@@ -56,7 +56,7 @@ def held(path: Path, seconds: float) -> Feed:
 def test_quick_presses_are_each_a_stop_and_none_counts_twice(
     store: Store, waiting: WaitingCaptures
 ) -> None:
-    replay, told = folder(waiting.folder), list[int]()
+    replay, told = folder(), list[int]()
     shutter = Shutter(store, waiting, lambda: told.append(1))
     for number in "aabbc":
         shutter.press(replay, 1, WALK, Stop("1", "left", 0.0), Press(number, time.time()))
@@ -72,7 +72,7 @@ def test_quick_presses_are_each_a_stop_and_none_counts_twice(
 def test_two_browsers_never_give_one_place_to_two_stops(
     store: Store, waiting: WaitingCaptures
 ) -> None:
-    replay, shutter = folder(waiting.folder), Shutter(store, waiting, lambda: None)
+    replay, shutter = folder(), Shutter(store, waiting, lambda: None)
     places = [("a", 0.0), ("b", 0.5), ("c", 0.5), ("d", 0.0), ("e", 0.75)]
     for number, at_m in places:
         shutter.press(replay, 1, WALK, Stop("1", "left", at_m), Press(number, time.time()))
@@ -88,7 +88,7 @@ def test_two_browsers_never_give_one_place_to_two_stops(
 def test_presses_that_are_told_late_together_keep_their_order(
     store: Store, waiting: WaitingCaptures
 ) -> None:
-    replay, shutter = folder(waiting.folder), Shutter(store, waiting, lambda: None)
+    replay, shutter = folder(), Shutter(store, waiting, lambda: None)
     now = time.time()
     for number, at_s in (("a", now), ("b", now + 0.001), ("c", now + 60)):
         shutter.press(replay, 1, WALK, Stop("1", "left", 0.0), Press(number, at_s))
@@ -118,13 +118,16 @@ def test_every_press_of_a_walk_with_gaps_has_its_picture(
     store: Store, waiting: WaitingCaptures, tmp_path: Path
 ) -> None:
     """A walk of 60 presses, of which a third come late and together."""
-    for feed in (held(tmp_path, 30.0), folder(tmp_path)):
-        shutter, until_s = Shutter(store, waiting, lambda: None), time.time()
+    until_s = time.time()
+    feeds: tuple[Feed | FolderFeed, ...] = held(tmp_path, 30.0, until_s), folder()
+    for feed in feeds:
+        shutter = Shutter(store, waiting, lambda: None)
         moments = [until_s - 30.0 + 0.5 * k for k in range(60)]
         for number in sorted(range(60), key=lambda k: (k // 20 == 1, k)):
             place = Stop("1", "left", 0.4 * number)
             shutter.press(feed, 1, WALK, place, Press(f"{number}", moments[number]))
         shutter.close()
+        assert [one.error for one in shutter.pressed(WALK)] == [""] * 60
         assert len(waiting.captures()) == 60
         assert [one.error for one in shutter.pressed(WALK)] == [""] * 60
         for one in waiting.captures():
@@ -134,12 +137,12 @@ def test_every_press_of_a_walk_with_gaps_has_its_picture(
 def test_presses_that_an_earlier_program_kept_are_neither_taken_again_nor_refused(
     store: Store, waiting: WaitingCaptures
 ) -> None:
-    before, replay = Shutter(store, waiting, lambda: None), folder(waiting.folder)
+    before, replay = Shutter(store, waiting, lambda: None), folder()
     stop, press = Stop("1", "left", 0.0), Press("a", time.time())
     assert before.press(replay, 1, WALK, stop, press)
     before.close()
     again = Shutter(store, waiting, lambda: None)
-    assert again.press(folder(waiting.folder), 1, WALK, stop, press) is None
+    assert again.press(folder(), 1, WALK, stop, press) is None
     again.close()
     assert again.pressed(WALK) == []
     assert len(waiting.captures()) == 1
@@ -148,7 +151,7 @@ def test_presses_that_an_earlier_program_kept_are_neither_taken_again_nor_refuse
 def test_what_waits_is_measured_once_though_the_program_was_killed_in_between(
     store: Store, waiting: WaitingCaptures
 ) -> None:
-    replay = folder(waiting.folder)
+    replay = folder()
     shutter = Shutter(store, waiting, lambda: None)
     shutter.press(replay, 1, WALK, Stop("1", "left", 0.0), Press("a", time.time()))
     shutter.close()
@@ -174,7 +177,7 @@ def test_what_waits_is_measured_once_though_the_program_was_killed_in_between(
 def test_a_damaged_capture_does_not_hold_the_others_up(
     store: Store, waiting: WaitingCaptures
 ) -> None:
-    replay = folder(waiting.folder)
+    replay = folder()
     shutter = Shutter(store, waiting, lambda: None)
     for number in "ab":
         shutter.press(replay, 1, WALK, Stop("1", "left", 0.0), Press(number, time.time()))
@@ -193,7 +196,7 @@ def test_what_waits_is_not_tried_while_nothing_can_be_measured(
     store: Store, waiting: WaitingCaptures, tmp_path: Path
 ) -> None:
     shutter = Shutter(store, waiting, lambda: None)
-    shutter.press(folder(waiting.folder), 1, WALK, Stop("1"), Press("a", time.time()))
+    shutter.press(folder(), 1, WALK, Stop("1"), Press("a", time.time()))
     shutter.close()
     lost = MeasureOptions(instances=str(tmp_path / "lost.json"))
     measurer = SharedMeasurer(load_registry())

@@ -20,7 +20,7 @@ from cucumbervision.capture.frames import Stop
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
 from cucumbervision_greenhouse import resources, round_view
-from cucumbervision_greenhouse.camera.state import walk
+from cucumbervision_greenhouse.camera.page import walk
 from cucumbervision_greenhouse.rounds.walking import DEMONSTRATION, round_for_capture
 from cucumbervision_greenhouse.store.links import LinkKind, LinkRecord
 from cucumbervision_greenhouse.store.records import Round, StopRecord, Verdict, key_of, new_key

@@ -12,7 +12,7 @@ pytest.importorskip("streamlit")
 from tests.greenhouse.pages.app_pages import WALK, app, field, said
 
 from cucumbervision.names import LONGEST_NAME
-from cucumbervision_greenhouse.camera.state import walk
+from cucumbervision_greenhouse.camera.page import walk
 from cucumbervision_greenhouse.rounds.walking import DEMONSTRATION, round_for_capture
 from cucumbervision_greenhouse.store.records import Round, StopRecord, key_of, new_key
 from cucumbervision_greenhouse.store.repository import Store, open_store

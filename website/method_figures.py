@@ -33,9 +33,8 @@ from cucumbervision.methods.paper_methods import (
     window_depths,
 )
 from cucumbervision.methods.paper_methods import M1_WINDOW_PX as M4_WINDOW_PX
-from cucumbervision.methods.result import Measurement, MethodName
+from cucumbervision.methods.result import Measurement, MethodName, TubeTraits
 from cucumbervision.methods.table import GATE_M, Region, run_methods
-from cucumbervision.methods.traits import TubeTraits
 from cucumbervision.tube.shape import align_near
 from cucumbervision_lab.scenes.bodies import Tube
 from cucumbervision_lab.scenes.scene import FruitTruth, truth_of

@@ -36,9 +36,6 @@ if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
     from cucumbervision.capture.source import CaptureLister, Folder
     from cucumbervision.fruit.instance import Instance
-    from cucumbervision.methods.result import Fruit, LengthKind, Measurement
-    from cucumbervision.methods.table import Region
-    from cucumbervision.methods.traits import TraitValue
 
 
 Kind: TypeAlias = Literal["detectors", "segmenters", "methods", "readers", "traits"]
@@ -283,40 +280,6 @@ class Segmenter(Protocol):
         ...
 
 
-class Method(Protocol):
-    """Measures the length of a fruit.
-
-    `measurement.methods.TableMethod` is one, and holds what else the table of methods says: what
-    the method needs, and whether the selector may choose it. By default it never does: the method
-    gets its column, and the length stays as it was.
-    """
-
-    @property
-    def name(self) -> str:
-        """The name, 'M7': the column is called after it, m7_cm."""
-        ...
-
-    @property
-    def title(self) -> str:
-        """What it is, in a few words."""
-        ...
-
-    @property
-    def kind(self) -> LengthKind:
-        """What its length is the length of."""
-        ...
-
-    def measure(self, region: Region, /) -> Measurement:
-        """Return the length of a fruit in metres, or the reason why there is none.
-
-        Parameters
-        ----------
-        region : Region
-            The fruit's part of the frame: depth in metres, box, mask, keypoints, clouds.
-        """
-        ...
-
-
 class Reader(Protocol):
     """Finds captures of one format in a folder."""
 
@@ -333,39 +296,5 @@ class Reader(Protocol):
         callable or None
             Called with `ReadOptions` and the given intrinsics; returns for each capture its name,
             number, loader, place and files. None where the folder holds none of the format.
-        """
-        ...
-
-
-class Trait(Protocol):
-    """A figure of a fruit beside its length: a function of capture and fruit.
-
-    The name is that of the column, and ends with the unit where there is one: 'firmness_mm'.
-    """
-
-    @property
-    def name(self) -> str:
-        """The column."""
-        ...
-
-    @property
-    def unit(self) -> str:
-        """Of the column: cm, mm, mm2, ml, g; any other, or none, is written as it is."""
-        ...
-
-    @property
-    def says(self) -> str:
-        """What it is, in a few words."""
-        ...
-
-    def __call__(self, capture: Capture, fruit: Fruit, /) -> float | TraitValue | None:
-        """Return the value in SI units; None or a `TraitValue` with the reason where there is none.
-
-        Parameters
-        ----------
-        capture : Capture
-            The frame.
-        fruit : Fruit
-            The fruit with its mask, fit and length.
         """
         ...

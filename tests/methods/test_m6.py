@@ -15,8 +15,7 @@ from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
 from cucumbervision.methods.flags import Flag
 from cucumbervision.methods.m6 import fits_well, measure_m6
-from cucumbervision.methods.result import LengthKind, Measurement, Reason, TubeFit
-from cucumbervision.methods.traits import TubeLengths
+from cucumbervision.methods.result import LengthKind, Measurement, Reason, TubeFit, TubeLengths
 from cucumbervision.tube import compiled as tube_kernel
 from cucumbervision.tube.evidence import Evidence
 from cucumbervision.tube.fit import TubeFitting, fit_shape

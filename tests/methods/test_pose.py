@@ -16,8 +16,7 @@ from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.fruit.instance import Instance
 from cucumbervision.fruit.masks import box_of_mask
 from cucumbervision.methods.flags import Flag
-from cucumbervision.methods.pose import FruitPose, Part
-from cucumbervision.methods.result import Fruit, MethodName
+from cucumbervision.methods.result import Fruit, FruitPose, MethodName, Part
 from cucumbervision.methods.selector import measure_fruit
 from cucumbervision_lab.scenes.bodies import Tube, arc_tube, rotation
 from cucumbervision_lab.scenes.scene import Scene, render

@@ -11,12 +11,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from tests.tube.test_fit import surface, tangent_rays
 
 from cucumbervision.tube import compiled as tube_kernel
-from cucumbervision.tube.compiled import Fit, call
-from cucumbervision.tube.evidence import SHAPE, Evidence, gaps
+from cucumbervision.tube.evidence import SHAPE, Evidence
 from cucumbervision.tube.fit import fit_shape, guess_shape
 from cucumbervision.tube.shape import TubeShape
 
@@ -51,21 +49,6 @@ def guess() -> TubeShape:
     body = guess_shape(surface())
     width = body.width_m * RNG.uniform(0.8, 1.2, len(body.width_m))
     return TubeShape(body.bend_m + 3e-3 * RNG.standard_normal(body.bend_m.shape), width)
-
-
-@pytest.fixture
-def nuisance(evidence: Evidence) -> NDArray[np.float64]:
-    return 1e-3 * RNG.standard_normal(3 + evidence.waves)
-
-
-@pytest.fixture
-def fit(evidence: Evidence, guess: TubeShape, nuisance: NDArray[np.float64]) -> Fit:
-    """A compiled fit whose readings are measured already."""
-    fit = Fit(evidence, guess)
-    fit.nuisance[:] = nuisance
-    call("point_readings", fit.bases, fit.seen, fit.shape, fit.nuisance, fit.readings[0])
-    call("ray_readings", fit.bases, fit.seen, fit.shape, fit.nuisance, fit.readings[1])
-    return fit
 
 
 def assert_close(ours: object, theirs: object) -> None:
@@ -120,20 +103,6 @@ def test_arrays_that_do_not_fit_together_never_reach_it(
     for name, array in wrong.items():
         with pytest.raises(ValueError, match="reshape"):
             tube_kernel.fitted(replace(evidence, **{name: array}), guess)
-    with pytest.raises(ValueError, match="reshape"):
-        tube_kernel.gaps(guess, np.ones((4, 2)), rays=True)
-    with pytest.raises(ValueError, match="reshape"):
-        tube_kernel.depth_gaps(guess, np.ones((4, 3)), np.ones(5))
-
-
-@needs_kernel
-def test_other_types_and_strides_are_read_as_numpy_does(guess: TubeShape) -> None:
-    points = surface()[:20]
-    as_single = points.astype(np.float32)
-    expected = gaps(guess, as_single.astype(np.float64), rays=False).gap_m
-    assert_close(gaps(guess, as_single, rays=False).gap_m, expected)  # type: ignore[arg-type]
-    every_other = gaps(guess, points[::2], rays=False).gap_m
-    assert_close(every_other, gaps(guess, points, rays=False).gap_m[::2])
 
 
 @needs_kernel

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, get_type_h
 import typer
 
 from cucumbervision.capture import DepthAlong, Stream
-from cucumbervision.methods.result import LengthDefinition, Selector
 from cucumbervision.networks.confidence import DEFAULT_CONFIDENCE
 
 if TYPE_CHECKING:
@@ -74,11 +73,12 @@ def measure_options(
         str, typer.Option(help="all, or some of m1,m2,m3,m4,m5,m6; shown if given.")
     ] = "",
     selector: Annotated[
-        Selector, typer.Option(help="Rule that selects one method.")
-    ] = Selector.BEST,
+        Literal["best", "paper"], typer.Option(help="Rule that selects one method.")
+    ] = "best",
     length: Annotated[
-        LengthDefinition, typer.Option(help="Definition of length, if a tube could be fitted.")
-    ] = LengthDefinition.CENTRELINE,
+        Literal["thread", "centreline", "chord"],
+        typer.Option(help="Definition of length, if a tube could be fitted."),
+    ] = "centreline",
     segmenter: Annotated[
         str | None,
         typer.Option(
@@ -143,6 +143,7 @@ def measure_options(
     """Return the measuring options of a command."""
     from cucumbervision.capture.source import ReadOptions
     from cucumbervision.crop.profiles import PACK_PROFILE, load_profile, profile_path
+    from cucumbervision.methods.result import LengthDefinition, Selector
     from cucumbervision.networks.confidence import parse_input_sizes
     from cucumbervision.run.options import MeasureOptions
 
@@ -152,8 +153,8 @@ def measure_options(
         pose=pose,
         segmenter=segmenter,
         methods=methods or "all",  # type: ignore[arg-type]  # it reads names
-        selector=selector,
-        length=length,
+        selector=Selector(selector),
+        length=LengthDefinition(length),
         confidence=confidence,
         input_sizes=parse_input_sizes(input_size),
         runtime=_FAST.get(runtime, runtime),

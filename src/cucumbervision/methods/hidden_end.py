@@ -14,6 +14,7 @@ import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.methods.depth_doubts import LEAST_FILL
+from cucumbervision.methods.result import HiddenLength
 from cucumbervision.tube.pixels import median_of
 
 if TYPE_CHECKING:
@@ -177,24 +178,6 @@ class GirthRelation:
 
 DRAWN_KINDS = GirthRelation(5.36, 2.16, 0.30)
 """Over drawn fruit of three kinds, gherkin to long cucumber, with room for others (0.24 there)."""
-
-
-@dataclass(frozen=True)
-class HiddenLength:
-    """The length of a fruit with a hidden end.
-
-    Parameters
-    ----------
-    seen_m : float
-        Visible length, metres.
-    median_m, low_m, high_m : float
-        Median and 90 % interval of the whole length, metres.
-    """
-
-    seen_m: float
-    median_m: float
-    low_m: float
-    high_m: float
 
 
 @dataclass(frozen=True)

@@ -21,9 +21,16 @@ from cucumbervision.methods.hidden_end import (
     noise_waves,
     with_hidden_end,
 )
-from cucumbervision.methods.result import LengthKind, Measurement, MethodName, Reason, TubeFit
+from cucumbervision.methods.result import (
+    LengthKind,
+    Measurement,
+    MethodName,
+    Reason,
+    TubeFit,
+    TubeTraits,
+)
 from cucumbervision.methods.table import Region, TableMethod
-from cucumbervision.methods.traits import TubeTraits, tube_traits
+from cucumbervision.methods.traits import tube_traits
 from cucumbervision.tube.evidence import Evidence, end_overhangs, gaps
 from cucumbervision.tube.fit import (
     TubeFitting,

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from enum import StrEnum
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
-from pydantic import ConfigDict, Field, PlainSerializer, PlainValidator, TypeAdapter, WithJsonSchema
 
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.methods.flags import Flag
 from cucumbervision.methods.intervals import SCALE_SD
+from cucumbervision.methods.result import FruitPose, Part
 from cucumbervision.tube.fit import END_SHARE
 from cucumbervision.tube.shape import arc_positions, points_along
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from cucumbervision.capture.frames import Capture
     from cucumbervision.fruit.instance import Instance
     from cucumbervision.methods.result import Measurement, TubeFit
@@ -38,106 +38,6 @@ _END_SD_M = 0.0025
 _PEDUNCLE_SD_RAD = 0.26
 
 _NEARER_M = 0.01  # an object nearer than the cut place by more is in the way
-
-
-def _array(digits: int, *shape: int | None) -> Any:
-    """Return the pydantic type of an array of that shape as JSON; None for any size."""
-    schema: dict[str, Any] = {"type": "number"}
-    for size in reversed(shape):
-        limits = {} if size is None else {"minItems": size, "maxItems": size}
-        schema = {"type": "array", "items": schema, **limits}
-    write = PlainSerializer(lambda values: np.round(values, digits).tolist())
-    return PlainValidator(np.asarray), write, WithJsonSchema(schema)
-
-
-_Point = Annotated[NDArray[np.float64], *_array(5, 3)]
-_Line = Annotated[NDArray[np.float64], *_array(5, None, 3)]
-_Values = Annotated[NDArray[np.float64], *_array(5, None)]
-_Matrix = Annotated[NDArray[np.float64], *_array(12, 3, 3)]
-
-
-def _describe(schema: dict[str, Any], described: type[Any]) -> None:
-    schema["description"] = (described.__doc__ or "").partition("\n")[0]
-
-
-FIRST_LINE = ConfigDict(json_schema_extra=_describe)
-"""A class's `__pydantic_config__`: its JSON Schema has the first line of its docstring alone."""
-
-
-class Part(StrEnum):
-    """Parts of a fruit that may be out of sight."""
-
-    STEM = "stem"
-    BLOSSOM = "blossom"
-    BODY = "body"
-    CUT = "cut"
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class FruitPose:
-    """A fruit in space: metres, in coordinates of the camera (x right, y down, z forward).
-
-    Parameters
-    ----------
-    frame : str
-        Name of the coordinates: that of the source, as in ROS, otherwise
-        'camera_color_optical_frame'.
-    stem_m, blossom_m : ndarray of float64, shape (3,)
-        The two ends; for a hidden end, the end of the visible part.
-    stem_confidence : float
-        Probability that `stem_m` is the stem end, 0.5 to 1. At 0.5 the ends are not distinguished,
-        and the upper end in the picture is taken.
-    centre_m : ndarray of float64, shape (3,)
-        The middle of the axis.
-    axis_m : ndarray of float64, shape (33, 3)
-        The axis from the stem's end to the blossom's, evenly spaced.
-    radius_m : ndarray of float64, shape (33,)
-        The radius at each of these points.
-    direction : ndarray of float64, shape (3,)
-        Unit vector along the axis at the stem's end, out of the fruit.
-    cut_m : ndarray of float64, shape (3,), optional
-        The place to cut, on the extension of the axis beyond the stem end; None if that end is
-        hidden.
-    cut_covariance_m2 : ndarray of float64, shape (3, 3), optional
-        Its covariance, square metres.
-    covered : tuple of Part
-        Hidden parts: an end, more than a tenth of the body, the place to cut.
-
-    Examples
-    --------
-    >>> from cucumbervision import example_captures, measure
-    >>> pose = measure(example_captures() / "simulated-row-a", instances="dataset").fruit[0].pose
-    >>> bool(pose.stem_m[1] < pose.blossom_m[1]), [str(part) for part in pose.covered]
-    (True, [])
-    >>> round(float(np.linalg.norm(pose.cut_m - pose.stem_m)), 3)
-    0.02
-    """
-
-    __pydantic_config__: ClassVar = FIRST_LINE
-
-    frame: str
-    stem_m: Annotated[_Point, Field(description="stem end")]
-    blossom_m: Annotated[_Point, Field(description="blossom end")]
-    stem_confidence: Annotated[float, Field(description="probability that this end is the stem's")]
-    centre_m: Annotated[_Point, Field(description="middle of the axis")]
-    axis_m: Annotated[_Line, Field(description="the axis, from the stem end")]
-    radius_m: Annotated[_Values, Field(description="the radius at each point of the axis")]
-    direction: Annotated[_Point, Field(description="out of the fruit at the stem end, unit")]
-    cut_m: Annotated[_Point | None, Field(description="place to cut")]
-    cut_covariance_m2: Annotated[_Matrix | None, Field(description="its covariance")]
-    covered: Annotated[tuple[Part, ...], Field(description="parts that are out of sight")]
-
-    def as_json(self) -> dict[str, Any]:
-        """Return the pose as JSON values: metres to 10 micrometres."""
-        values: dict[str, Any] = _POSE.dump_python(self, mode="json")
-        return values
-
-    def __repr__(self) -> str:
-        stem = ", ".join(f"{value:.3f}" for value in self.stem_m)
-        return f"<FruitPose: stem at ({stem}) m, {self.stem_confidence:.0%} sure>"
-
-
-_POSE = TypeAdapter(FruitPose)
 
 
 def stem_first(

@@ -6,7 +6,11 @@ import math
 import warnings
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ConfigDict, Field, PlainSerializer, PlainValidator, TypeAdapter, WithJsonSchema
 
 from cucumbervision.methods.flags import Flag, is_lower_bound
 
@@ -14,15 +18,9 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from typing import Self
 
-    import numpy as np
-    from numpy.typing import NDArray
-
     from cucumbervision.errors import PluginError
     from cucumbervision.fruit.crops import EndLook
     from cucumbervision.fruit.instance import Instance, MaskSource
-    from cucumbervision.methods.hidden_end import HiddenLength
-    from cucumbervision.methods.pose import FruitPose
-    from cucumbervision.methods.traits import TraitValue, TubeLengths, TubeTraits
 
 
 class MethodName(StrEnum):
@@ -181,6 +179,229 @@ class Length:
         0.0203
         """
         return None if self.sides is None else (self.sides[1] + self.sides[2]) / 2
+
+
+# A spindle is thinner towards its ends than cucumbers are: mean over largest diameter. Its end may
+# be out of sight beyond this angle along the view, the slope of its sides included.
+_SPINDLE, _SPINDLE_END_DEG = 0.82, 55.0
+
+
+@dataclass(frozen=True)
+class TubeLengths:
+    """The lengths of a fitted tube, metres: along its axis, over its outer side, end to end."""
+
+    centreline_m: float
+    thread_m: float
+    chord_m: float
+
+    def of(self, definition: LengthDefinition) -> float:
+        """Return the length of that definition, metres."""
+        value: float = getattr(self, f"{definition}_m")
+        return value
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class TubeTraits:
+    """Lengths and shape of one tube.
+
+    Parameters
+    ----------
+    lengths : TubeLengths
+        Centreline, thread and chord.
+    inner_arc_m : float
+        Largest distance from the chord (pole to pole) to the inner edge, metres; 0 where the
+        inner edge does not rise above the chord.
+    along_m, diameter_m : ndarray of float64, shape (101,)
+        The diameter along the axis from pole to pole, metres.
+    volume_m3 : float
+        Cubic metres.
+    tilt_deg : float
+        Angle of the chord out of the picture plane, 0 to 90 degrees.
+    axis_m : ndarray of float64, shape (K, 3)
+        The axis from pole to pole, camera coordinates, metres.
+    """
+
+    lengths: TubeLengths
+    inner_arc_m: float
+    along_m: NDArray[np.float64]
+    diameter_m: NDArray[np.float64]
+    volume_m3: float
+    tilt_deg: float
+    axis_m: NDArray[np.float64]
+
+    @property
+    def inner_arc_mm_per_10cm(self) -> float:
+        """Inner arc height in mm for each 10 cm of chord (UNECE FFV-15)."""
+        return 100.0 * self.inner_arc_m / self.lengths.chord_m
+
+    @property
+    def diameter_max_m(self) -> float:
+        """Largest diameter, metres."""
+        return float(self.diameter_m.max())
+
+    @property
+    def diameter_mean_m(self) -> float:
+        """Mean diameter along the axis from pole to pole, metres."""
+        return float(np.trapezoid(self.diameter_m, self.along_m) / self.along_m[-1])
+
+    @property
+    def may_hide_an_end(self) -> bool:
+        """Whether it is a spindle, as bananas are, with an end that points away from the camera.
+
+        Such an end can lie behind the body's own middle: the tube fits what is seen well, and ends
+        too early.
+        """
+        if self.diameter_mean_m > _SPINDLE * self.diameter_max_m:
+            return False
+        tenth, length_m = len(self.axis_m) // 10, self.along_m[-1]
+        for axis, width in (
+            (self.axis_m, self.diameter_m),
+            (self.axis_m[::-1], self.diameter_m[::-1]),
+        ):
+            step = axis[0] - axis[tenth]
+            sine = step @ axis[0] / np.linalg.norm(step) / np.linalg.norm(axis[0])
+            away = np.arcsin(np.clip(sine, -1.0, 1.0))  # rounding, where an end is on the view
+            slope = np.arctan((width[30] - width[10]) / 2 / (0.2 * length_m))
+            if np.rad2deg(away + slope) > _SPINDLE_END_DEG:
+                return True
+        return False
+
+
+@dataclass(frozen=True)
+class TraitValue:
+    """The value of a trait, or why it is withheld.
+
+    Parameters
+    ----------
+    value : float, optional
+        In SI units; None where it is withheld.
+    reason : str
+        Why it is withheld, as a short code: 'too-few-pixels'.
+    error : PluginError, optional
+        Why another package's trait failed.
+    """
+
+    value: float | None
+    reason: str = ""
+    error: PluginError | None = None
+
+
+@dataclass(frozen=True)
+class HiddenLength:
+    """The length of a fruit with a hidden end.
+
+    Parameters
+    ----------
+    seen_m : float
+        Visible length, metres.
+    median_m, low_m, high_m : float
+        Median and 90 % interval of the whole length, metres.
+    """
+
+    seen_m: float
+    median_m: float
+    low_m: float
+    high_m: float
+
+
+def _array(digits: int, *shape: int | None) -> Any:
+    """Return the pydantic type of an array of that shape as JSON; None for any size."""
+    schema: dict[str, Any] = {"type": "number"}
+    for size in reversed(shape):
+        limits = {} if size is None else {"minItems": size, "maxItems": size}
+        schema = {"type": "array", "items": schema, **limits}
+    write = PlainSerializer(lambda values: np.round(values, digits).tolist())
+    return PlainValidator(np.asarray), write, WithJsonSchema(schema)
+
+
+_Point = Annotated[NDArray[np.float64], *_array(5, 3)]
+_Line = Annotated[NDArray[np.float64], *_array(5, None, 3)]
+_Values = Annotated[NDArray[np.float64], *_array(5, None)]
+_Matrix = Annotated[NDArray[np.float64], *_array(12, 3, 3)]
+
+
+def _describe(schema: dict[str, Any], described: type[Any]) -> None:
+    schema["description"] = (described.__doc__ or "").partition("\n")[0]
+
+
+FIRST_LINE = ConfigDict(json_schema_extra=_describe)
+"""A class's `__pydantic_config__`: its JSON Schema has the first line of its docstring alone."""
+
+
+class Part(StrEnum):
+    """Parts of a fruit that may be out of sight."""
+
+    STEM = "stem"
+    BLOSSOM = "blossom"
+    BODY = "body"
+    CUT = "cut"
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FruitPose:
+    """A fruit in space: metres, in coordinates of the camera (x right, y down, z forward).
+
+    Parameters
+    ----------
+    frame : str
+        Name of the coordinates: that of the source, as in ROS, otherwise
+        'camera_color_optical_frame'.
+    stem_m, blossom_m : ndarray of float64, shape (3,)
+        The two ends; for a hidden end, the end of the visible part.
+    stem_confidence : float
+        Probability that `stem_m` is the stem end, 0.5 to 1. At 0.5 the ends are not distinguished,
+        and the upper end in the picture is taken.
+    centre_m : ndarray of float64, shape (3,)
+        The middle of the axis.
+    axis_m : ndarray of float64, shape (33, 3)
+        The axis from the stem's end to the blossom's, evenly spaced.
+    radius_m : ndarray of float64, shape (33,)
+        The radius at each of these points.
+    direction : ndarray of float64, shape (3,)
+        Unit vector along the axis at the stem's end, out of the fruit.
+    cut_m : ndarray of float64, shape (3,), optional
+        The place to cut, on the extension of the axis beyond the stem end; None if that end is
+        hidden.
+    cut_covariance_m2 : ndarray of float64, shape (3, 3), optional
+        Its covariance, square metres.
+    covered : tuple of Part
+        Hidden parts: an end, more than a tenth of the body, the place to cut.
+
+    Examples
+    --------
+    >>> from cucumbervision import example_captures, measure
+    >>> pose = measure(example_captures() / "simulated-row-a", instances="dataset").fruit[0].pose
+    >>> bool(pose.stem_m[1] < pose.blossom_m[1]), [str(part) for part in pose.covered]
+    (True, [])
+    >>> round(float(np.linalg.norm(pose.cut_m - pose.stem_m)), 3)
+    0.02
+    """
+
+    __pydantic_config__: ClassVar = FIRST_LINE
+
+    frame: str
+    stem_m: Annotated[_Point, Field(description="stem end")]
+    blossom_m: Annotated[_Point, Field(description="blossom end")]
+    stem_confidence: Annotated[float, Field(description="probability that this end is the stem's")]
+    centre_m: Annotated[_Point, Field(description="middle of the axis")]
+    axis_m: Annotated[_Line, Field(description="the axis, from the stem end")]
+    radius_m: Annotated[_Values, Field(description="the radius at each point of the axis")]
+    direction: Annotated[_Point, Field(description="out of the fruit at the stem end, unit")]
+    cut_m: Annotated[_Point | None, Field(description="place to cut")]
+    cut_covariance_m2: Annotated[_Matrix | None, Field(description="its covariance")]
+    covered: Annotated[tuple[Part, ...], Field(description="parts that are out of sight")]
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the pose as JSON values: metres to 10 micrometres."""
+        values: dict[str, Any] = _POSE.dump_python(self, mode="json")
+        return values
+
+    def __repr__(self) -> str:
+        stem = ", ".join(f"{value:.3f}" for value in self.stem_m)
+        return f"<FruitPose: stem at ({stem}) m, {self.stem_confidence:.0%} sure>"
+
+
+_POSE = TypeAdapter(FruitPose)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
     from cucumbervision.fruit.instance import Instance
     from cucumbervision.methods.intervals import IntervalModels
-    from cucumbervision.plugins import Method
+    from cucumbervision.methods.table import Method
 
 
 # Below the 0.50 of M4: the package's pose network gives lower visibility even to visible ends.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -21,8 +21,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from cucumbervision.capture.frames import Capture
     from cucumbervision.capture.intrinsics import Intrinsics
-    from cucumbervision.plugins import Method
+    from cucumbervision.methods.result import Fruit, TraitValue
 
 
 _STRIDE = 2  # pixels, of a box
@@ -173,6 +174,74 @@ class Region:
     def box_points_m(self) -> NDArray[np.float64]:
         """The box's points at stride 2 in metres, shape (N, 3)."""
         return box_points(self.depth_m, self.box, self.intrinsics)
+
+
+class Method(Protocol):
+    """Measures the length of a fruit.
+
+    `measurement.methods.TableMethod` is one, and holds what else the table of methods says: what
+    the method needs, and whether the selector may choose it. By default it never does: the method
+    gets its column, and the length stays as it was.
+    """
+
+    @property
+    def name(self) -> str:
+        """The name, 'M7': the column is called after it, m7_cm."""
+        ...
+
+    @property
+    def title(self) -> str:
+        """What it is, in a few words."""
+        ...
+
+    @property
+    def kind(self) -> LengthKind:
+        """What its length is the length of."""
+        ...
+
+    def measure(self, region: Region, /) -> Measurement:
+        """Return the length of a fruit in metres, or the reason why there is none.
+
+        Parameters
+        ----------
+        region : Region
+            The fruit's part of the frame: depth in metres, box, mask, keypoints, clouds.
+        """
+        ...
+
+
+class Trait(Protocol):
+    """A figure of a fruit beside its length: a function of capture and fruit.
+
+    The name is that of the column, and ends with the unit where there is one: 'firmness_mm'.
+    """
+
+    @property
+    def name(self) -> str:
+        """The column."""
+        ...
+
+    @property
+    def unit(self) -> str:
+        """Of the column: cm, mm, mm2, ml, g; any other, or none, is written as it is."""
+        ...
+
+    @property
+    def says(self) -> str:
+        """What it is, in a few words."""
+        ...
+
+    def __call__(self, capture: Capture, fruit: Fruit, /) -> float | TraitValue | None:
+        """Return the value in SI units; None or a `TraitValue` with the reason where there is none.
+
+        Parameters
+        ----------
+        capture : Capture
+            The frame.
+        fruit : Fruit
+            The fruit with its mask, fit and length.
+        """
+        ...
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ import numpy as np
 from cucumbervision.errors import PluginError
 from cucumbervision.fruit.masks import box_of_mask, mask_window
 from cucumbervision.methods.flags import Flag
+from cucumbervision.methods.result import TraitValue, TubeLengths, TubeTraits
 from cucumbervision.plugins import Plugin
 from cucumbervision.tube.shape import (
     arc_positions,
@@ -28,96 +29,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cucumbervision.capture.frames import Capture
-    from cucumbervision.methods.result import Fruit, LengthDefinition
-    from cucumbervision.plugins import Trait
+    from cucumbervision.methods.result import Fruit
+    from cucumbervision.methods.table import Trait
 
 
 _SMALLEST_RADIUS_M = 1e-4
-
-# A spindle is thinner towards its ends than cucumbers are: mean over largest diameter. Its end may
-# be out of sight beyond this angle along the view, the slope of its sides included.
-_SPINDLE, _SPINDLE_END_DEG = 0.82, 55.0
-
-
-@dataclass(frozen=True)
-class TubeLengths:
-    """The lengths of a fitted tube, metres: along its axis, over its outer side, end to end."""
-
-    centreline_m: float
-    thread_m: float
-    chord_m: float
-
-    def of(self, definition: LengthDefinition) -> float:
-        """Return the length of that definition, metres."""
-        value: float = getattr(self, f"{definition}_m")
-        return value
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class TubeTraits:
-    """Lengths and shape of one tube.
-
-    Parameters
-    ----------
-    lengths : TubeLengths
-        Centreline, thread and chord.
-    inner_arc_m : float
-        Largest distance from the chord (pole to pole) to the inner edge, metres; 0 where the
-        inner edge does not rise above the chord.
-    along_m, diameter_m : ndarray of float64, shape (101,)
-        The diameter along the axis from pole to pole, metres.
-    volume_m3 : float
-        Cubic metres.
-    tilt_deg : float
-        Angle of the chord out of the picture plane, 0 to 90 degrees.
-    axis_m : ndarray of float64, shape (K, 3)
-        The axis from pole to pole, camera coordinates, metres.
-    """
-
-    lengths: TubeLengths
-    inner_arc_m: float
-    along_m: NDArray[np.float64]
-    diameter_m: NDArray[np.float64]
-    volume_m3: float
-    tilt_deg: float
-    axis_m: NDArray[np.float64]
-
-    @property
-    def inner_arc_mm_per_10cm(self) -> float:
-        """Inner arc height in mm for each 10 cm of chord (UNECE FFV-15)."""
-        return 100.0 * self.inner_arc_m / self.lengths.chord_m
-
-    @property
-    def diameter_max_m(self) -> float:
-        """Largest diameter, metres."""
-        return float(self.diameter_m.max())
-
-    @property
-    def diameter_mean_m(self) -> float:
-        """Mean diameter along the axis from pole to pole, metres."""
-        return float(np.trapezoid(self.diameter_m, self.along_m) / self.along_m[-1])
-
-    @property
-    def may_hide_an_end(self) -> bool:
-        """Whether it is a spindle, as bananas are, with an end that points away from the camera.
-
-        Such an end can lie behind the body's own middle: the tube fits what is seen well, and ends
-        too early.
-        """
-        if self.diameter_mean_m > _SPINDLE * self.diameter_max_m:
-            return False
-        tenth, length_m = len(self.axis_m) // 10, self.along_m[-1]
-        for axis, width in (
-            (self.axis_m, self.diameter_m),
-            (self.axis_m[::-1], self.diameter_m[::-1]),
-        ):
-            step = axis[0] - axis[tenth]
-            sine = step @ axis[0] / np.linalg.norm(step) / np.linalg.norm(axis[0])
-            away = np.arcsin(np.clip(sine, -1.0, 1.0))  # rounding, where an end is on the view
-            slope = np.arctan((width[30] - width[10]) / 2 / (0.2 * length_m))
-            if np.rad2deg(away + slope) > _SPINDLE_END_DEG:
-                return True
-        return False
 
 
 def tube_traits(centres_m: NDArray[np.float64], radii_m: NDArray[np.float64]) -> TubeTraits:
@@ -170,25 +86,6 @@ def tube_traits(centres_m: NDArray[np.float64], radii_m: NDArray[np.float64]) ->
         tilt_deg=float(np.rad2deg(np.arcsin(np.clip(deep, -1.0, 1.0)))),
         axis_m=axis,
     )
-
-
-@dataclass(frozen=True)
-class TraitValue:
-    """The value of a trait, or why it is withheld.
-
-    Parameters
-    ----------
-    value : float, optional
-        In SI units; None where it is withheld.
-    reason : str
-        Why it is withheld, as a short code: 'too-few-pixels'.
-    error : PluginError, optional
-        Why another package's trait failed.
-    """
-
-    value: float | None
-    reason: str = ""
-    error: PluginError | None = None
 
 
 @dataclass(frozen=True)

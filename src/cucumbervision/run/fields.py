@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.frames import Capture
     from cucumbervision.methods.result import Fruit
-    from cucumbervision.plugins import Plugin, Trait
+    from cucumbervision.methods.table import Trait
+    from cucumbervision.plugins import Plugin
 
 Cell: TypeAlias = str | int | float | bool | None
 CellType: TypeAlias = Literal["text", "whole", "number", "yes/no"]

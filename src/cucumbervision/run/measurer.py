@@ -15,8 +15,7 @@ from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.errors import CaptureError, DiskFullError, InternalError, named_error
 from cucumbervision.methods.flags import Flag
-from cucumbervision.methods.pose import FIRST_LINE
-from cucumbervision.methods.result import Choice, Fruit, MethodName, Reason
+from cucumbervision.methods.result import FIRST_LINE, Choice, Fruit, MethodName, Reason
 from cucumbervision.methods.selector import measure_fruit, with_end_looks
 from cucumbervision.methods.traits import with_traits
 from cucumbervision.networks.registry import load_registry

@@ -33,7 +33,8 @@ from cucumbervision.run.fields import fields_with, trait_field
 if TYPE_CHECKING:
     from typing import Self
 
-    from cucumbervision.plugins import Detector, Method, Segmenter, Trait
+    from cucumbervision.methods.table import Method, Trait
+    from cucumbervision.plugins import Detector, Segmenter
     from cucumbervision.run.fields import Field
 
 _Enum = TypeVar("_Enum", bound=StrEnum)

@@ -35,7 +35,8 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.intrinsics import Intrinsics
     from cucumbervision.methods.result import Fruit
-    from cucumbervision.plugins import Detector, Method, Reader, Segmenter, Trait
+    from cucumbervision.methods.table import Method, Trait
+    from cucumbervision.plugins import Detector, Reader, Segmenter
     from cucumbervision.run.fields import Cell
     from cucumbervision.run.inputs import Opener
 

@@ -43,7 +43,7 @@ from cucumbervision.errors import (
     UploadError,
     named_error,
 )
-from cucumbervision.methods.pose import FruitPose
+from cucumbervision.methods.result import FruitPose
 from cucumbervision.run.batch import Item, ResultWorker, Worker, measure_all, never
 from cucumbervision.run.detect import PictureWorker, read_picture
 from cucumbervision.run.fields import FIELDS, row_model

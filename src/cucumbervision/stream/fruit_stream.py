@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from cucumbervision.capture.frames import moved_px
 from cucumbervision.methods.flags import is_length_unknown, is_lower_bound
-from cucumbervision.methods.pose import FruitPose
-from cucumbervision.methods.result import Choice, MethodName
+from cucumbervision.methods.result import Choice, FruitPose, MethodName
 from cucumbervision.networks.runtime import CARD_RUNTIMES
 from cucumbervision.run.batch import cores
 from cucumbervision.run.fields import FIELDS, Field, fruit_row, row_model

@@ -1,4 +1,4 @@
-"""Call the compiled functions of `kernel/` (C) with what NumPy's of the same names take.
+"""Call the compiled fit of `kernel/` (C), which computes what NumPy does in `fit` and `evidence`.
 
 The library is built when the package is installed, where there is a C compiler. Without it, and
 with `CUCUMBERVISION_KERNEL=numpy` in the environment, NumPy computes; so it does where something is
@@ -10,14 +10,13 @@ from __future__ import annotations
 import ctypes
 import hashlib
 import os
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cucumbervision.tube.shape import BALLS, BEND_SEGMENTS, WIDTH_SEGMENTS, bases
+from cucumbervision.tube.shape import BALLS, BEND_SEGMENTS, FINE, WIDTH_SEGMENTS, bases
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -26,7 +25,6 @@ if TYPE_CHECKING:
     from cucumbervision.tube.shape import TubeShape
 
 FOLDER = Path(__file__).parent / "kernel"
-FINE = 1024  # positions along the curve to which a nearest ball is rounded
 _BODY = 3 * (BEND_SEGMENTS + 3) + (WIDTH_SEGMENTS + 3) + 3
 _TILE, _ROWS = 4, 48  # of kernel.h
 _MOST_WAVES = 1000
@@ -64,7 +62,6 @@ def library() -> Any:
         loaded = ctypes.CDLL(str(path))
     except (OSError, ValueError):
         return None
-    loaded.misfit.restype = loaded.scatter.restype = ctypes.c_double
     return loaded
 
 
@@ -107,39 +104,11 @@ class _Equations(_Struct):
     ]
 
 
-@dataclass(frozen=True, eq=False)
-class Contacts:
-    """Where readings touch a body, as the kernel writes it: `Gaps` with an index for the bases.
-
-    Parameters
-    ----------
-    gap_m, facing, sd_m : ndarray of float64, shape (N,)
-        Gaps, and of depth points the cosine of the ray with the normal; standard deviations.
-    away, centres_m : ndarray of float64, shape (N, 3)
-        As in `Gaps`.
-    index : ndarray of int64, shape (N,)
-        The position along the curve, times `FINE`.
-    """
-
-    gap_m: NDArray[np.float64]
-    away: NDArray[np.float64]
-    centres_m: NDArray[np.float64]
-    facing: NDArray[np.float64]
-    sd_m: NDArray[np.float64]
-    index: NDArray[np.int64]
-
-    @classmethod
-    def empty(cls, count: int) -> Contacts:
-        """Return room for the contacts of so many readings."""
-        gap_m, facing, sd_m = np.empty((3, count))
-        away, centres_m = np.empty((2, count, 3))
-        return cls(gap_m, away, centres_m, facing, sd_m, np.empty(count, np.int64))
-
-    @property
-    def struct(self) -> _Readings:
-        """The struct that the kernel writes to."""
-        found = (self.gap_m, self.away, self.centres_m, self.facing, self.sd_m)
-        return _Readings(*found, np.empty(len(self.gap_m)), self.index)
+def _readings(count: int) -> _Readings:
+    """Return room for gaps, unit vectors, centres, facing, errors and positions of readings."""
+    gap_m, facing, sd_m, scratch = np.empty((4, count))
+    away, centres_m = np.empty((2, count, 3))
+    return _Readings(gap_m, away, centres_m, facing, sd_m, scratch, np.empty(count, np.int64))
 
 
 @cache
@@ -162,39 +131,10 @@ def _shape(shape: TubeShape) -> _Shape:
     return _Shape(bend, np.array(shape.width_m, np.float64).reshape(WIDTH_SEGMENTS + 3))
 
 
-def gaps(shape: TubeShape, readings: NDArray[np.float64], *, rays: bool) -> Contacts | None:
-    """Measure as `tube_evidence.gaps`; None where NumPy must."""
-    if library() is None or not _finite(readings, shape.bend_m, shape.width_m):
-        return None
-    found = Contacts.empty(len(readings))
-    given = _numbers(readings, len(readings), 3)
-    call("gaps", _bases(), _shape(shape), len(given), given, rays, found.struct)
-    return found
-
-
-def depth_gaps(
-    shape: TubeShape, rays: NDArray[np.float64], far_m: NDArray[np.float64]
-) -> Contacts | None:
-    """Measure as `tube_evidence.depth_gaps`; None where NumPy must."""
-    if library() is None or not _finite(rays, far_m, shape.bend_m, shape.width_m):
-        return None
-    found, count = Contacts.empty(len(rays)), len(rays)
-    given, far = _numbers(rays, count, 3), _numbers(far_m, count)
-    call("depth_gaps", _bases(), _shape(shape), count, given, far, found.struct)
-    return found
-
-
-def call(name: str, *values: Any) -> Any:
-    """Call a function of kernel.h: structs and arrays by their addresses, then int64 and double."""
-    return getattr(library(), name)(*(_argument(value) for value in values))
-
-
 def _argument(value: Any) -> Any:
     if isinstance(value, ctypes.Structure):
         return ctypes.byref(value)
-    if isinstance(value, np.ndarray):
-        return ctypes.c_void_p(value.ctypes.data)
-    return ctypes.c_double(value) if isinstance(value, float) else ctypes.c_int64(value)
+    return ctypes.c_void_p(value.ctypes.data)
 
 
 class Fit:
@@ -212,8 +152,7 @@ class Fit:
         count, waves = len(evidence.points_m), evidence.waves
         self.bases, self.shape, self.seen = _bases(), _shape(guess), _evidence(evidence)
         self.bend_m, self.width_m = self.shape.arrays
-        self.points, self.rays = Contacts.empty(count), Contacts.empty(len(evidence.rays))
-        self.readings = self.points.struct, self.rays.struct
+        self.readings = _readings(count), _readings(len(evidence.rays))
         self.nuisance = np.zeros(3 + waves)
         stride = _BODY + _padded(waves) + 1
         self.normal, self.target = np.zeros((stride, stride)), np.zeros(stride)
@@ -228,7 +167,8 @@ class Fit:
         """Fit as `tube_fit.fit_shape`; False without a solution."""
         results = (self.covariance, self.ends_seen, self.misfit)
         moved = (self.shape, self.nuisance, *self.readings, self.sums)
-        return bool(call("fit_shape", self.bases, self.seen, *moved, *results))
+        values = (self.bases, self.seen, *moved, *results)
+        return bool(library().fit_shape(*map(_argument, values)))
 
 
 def _padded(waves: int) -> int:

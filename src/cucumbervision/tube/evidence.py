@@ -8,15 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.tube import compiled as tube_kernel
-from cucumbervision.tube.compiled import FINE
 from cucumbervision.tube.pixels import median_of
-from cucumbervision.tube.shape import BALLS, BEND_SEGMENTS, WIDTH_SEGMENTS, TubeShape, bases
+from cucumbervision.tube.shape import BALLS, BEND_SEGMENTS, FINE, WIDTH_SEGMENTS, TubeShape, bases
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-
-    from cucumbervision.tube.compiled import Contacts
 
 
 _GRAZING = 0.2  # the cosine below which a ray only grazes the body
@@ -47,12 +43,6 @@ class Gaps:
     width_basis: NDArray[np.float64]
     centres_m: NDArray[np.float64]
     share: NDArray[np.float64]
-
-
-def gaps_of(found: Contacts) -> Gaps:
-    """Return the gaps that the compiled kernel found."""
-    bend, width = (table.take(found.index, axis=0) for table in bases(FINE + 1))
-    return Gaps(found.gap_m, found.away, bend, width, found.centres_m, found.index / FINE)
 
 
 def gaps(shape: TubeShape, readings: NDArray[np.float64], *, rays: bool) -> Gaps:
@@ -86,8 +76,6 @@ def gaps(shape: TubeShape, readings: NDArray[np.float64], *, rays: bool) -> Gaps
     >>> bool(abs(gaps(shape, touching, rays=True).gap_m[0]) < 1e-9)
     True
     """
-    if (found := tube_kernel.gaps(shape, readings, rays=rays)) is not None:
-        return gaps_of(found)
     centres, radii = shape.balls()
     distance = readings @ centres.T
     squared = np.einsum("ij,ij->i", centres, centres)
@@ -142,8 +130,6 @@ def depth_gaps(
     >>> contacts.gap_m.round(6).tolist(), facing.round(6).tolist()
     ([0.01], [1.0])
     """
-    if (found := tube_kernel.depth_gaps(shape, rays, far_m)) is not None:
-        return gaps_of(found), found.facing
     centres, radii = shape.balls()
     nearest, first = _entered(rays, centres, radii)
     # Between the balls the place is found by the entry point's distance, which stays smooth where

@@ -14,8 +14,8 @@ from cucumbervision.tube.evidence import (
     SHAPE,
     SLIPS,
     Evidence,
+    Gaps,
     ends_seen,
-    gaps_of,
     normal_equations,
     point_readings,
     ray_readings,
@@ -24,6 +24,7 @@ from cucumbervision.tube.pixels import median_of
 from cucumbervision.tube.shape import (
     BALLS,
     BEND_SEGMENTS,
+    FINE,
     TubeShape,
     arc_positions,
     bases,
@@ -33,8 +34,6 @@ from cucumbervision.tube.shape import (
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-
-    from cucumbervision.tube.evidence import Gaps
 
 
 # In shares of the length L and the radius r.
@@ -267,11 +266,22 @@ def fit_shape(evidence: Evidence, guess: TubeShape) -> TubeFitting:
     return TubeFitting(
         TubeShape(fit.bend_m, fit.width_m),
         fit.covariance,
-        gaps_of(fit.points),
-        gaps_of(fit.rays),
+        *(_gaps_of(*readings.arrays) for readings in fit.readings),
         (bool(fit.ends_seen[0]), bool(fit.ends_seen[1])),
         float(fit.misfit[0]),
     )
+
+
+def _gaps_of(
+    gap_m: NDArray[np.float64],
+    away: NDArray[np.float64],
+    centres_m: NDArray[np.float64],
+    *others: NDArray[Any],
+) -> Gaps:
+    # What the kernel wrote; the last array holds the position of each reading along the curve.
+    index = others[-1]
+    bend, width = (table.take(index, axis=0) for table in bases(FINE + 1))
+    return Gaps(gap_m, away, bend, width, centres_m, index / FINE)
 
 
 def _fit_by_numpy(evidence: Evidence, guess: TubeShape) -> TubeFitting:

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 BEND_SEGMENTS = 4
 WIDTH_SEGMENTS = 12
 BALLS = 64
+FINE = 1024  # positions along the curve to which a nearest ball is rounded
 
 
 @dataclass(frozen=True, eq=False)

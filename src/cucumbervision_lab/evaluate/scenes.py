@@ -19,8 +19,8 @@ from cucumbervision.errors import ModelError
 from cucumbervision.fruit.instance import Instance, MaskSource
 from cucumbervision.fruit.masks import box_ious, box_of_mask, mask_iou, share_inside
 from cucumbervision.methods.intervals import IntervalModels
-from cucumbervision.methods.pose import FruitPose, Part, stem_first
-from cucumbervision.methods.result import Fruit
+from cucumbervision.methods.pose import stem_first
+from cucumbervision.methods.result import Fruit, FruitPose, Part
 from cucumbervision.methods.selector import measure_fruit
 from cucumbervision.networks.confidence import DEFAULT_CONFIDENCE
 from cucumbervision.networks.registry import load_registry

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from cucumbervision.methods.pose import FruitPose
+from cucumbervision.methods.result import FruitPose
 from cucumbervision_lab.evaluate.measure_case import Masks
 from cucumbervision_lab.evaluate.report import pose_table
 from cucumbervision_lab.evaluate.scenes import pose_errors

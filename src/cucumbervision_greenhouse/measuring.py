@@ -24,10 +24,11 @@ from cucumbervision_greenhouse.rounds.adding import (
     RoundCapture,
     add_all,
     capture_sha256,
+    fruit_record,
     require_store,
+    stored_calibration,
 )
-from cucumbervision_greenhouse.rounds.poses import placed_fruit, stored_pose
-from cucumbervision_greenhouse.rounds.stop_records import fruit_record, stored_calibration
+from cucumbervision_greenhouse.rounds.poses import stored_pose
 from cucumbervision_greenhouse.store.records import Verdict
 
 if TYPE_CHECKING:
@@ -297,8 +298,7 @@ class SharedMeasurer:
 
 def _placed(capture: Capture, stop: StopRecord, fruit: Fruit, number: int) -> FruitRow:
     """Return a fruit of a stored capture, with its offset along the row."""
-    record = fruit_record(capture, number, fruit)
-    return placed_fruit(record, stored_pose(stop.pose, stop.side))
+    return fruit_record(capture, number, fruit, stored_pose(stop.pose, stop.side))
 
 
 def measure_waiting(

@@ -19,6 +19,7 @@ from cucumbervision_greenhouse.fruit_pictures import as_data_url, crop
 from cucumbervision_greenhouse.language import decimal_words
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.resources import KEPT, profile_of, rounds, store, worker
+from cucumbervision_greenhouse.rounds.adding import stored_capture
 from cucumbervision_greenhouse.rounds.day_comparison import (
     DayComparison,
     compare_rounds,
@@ -40,7 +41,6 @@ from cucumbervision_greenhouse.rounds.fruit_table import (
     round_figures,
 )
 from cucumbervision_greenhouse.rounds.merge_and_link import DAY_S, earlier_rounds
-from cucumbervision_greenhouse.rounds.stop_records import stored_capture
 from cucumbervision_greenhouse.settings import Units
 from cucumbervision_greenhouse.store.records import (
     CaptureRecord,

@@ -334,16 +334,15 @@ def _kept(
     item = RoundCapture.to_add(store, home, capture, keep=True)
     if item.is_deleted:
         return _lost(name, Message("was deleted: undo that to have it back"))
-    if item.place is None or waiting.holds(item.key):
+    if item.is_deleted is not None or waiting.holds(item.stop.key):
         return _lost(name, Message("is in the round already"))
-    refuse_taken(store, item.place.unmeasured(home))
-    capture = item.place.capture
+    refuse_taken(store, item.stop)
     stop = capture.stop
     for other in queued:
         is_there = replace(other.stop, step=stop.step) == stop
         if is_there and other.load().intrinsics == capture.intrinsics:
             return _lost(name, Message("another photo of this camera waits at its place"))
-    waiting.put(capture, item.key, home, time.time())
+    waiting.put(capture, item.stop.key, home, time.time())
     template = "{words} (row {row}, {side}, {position:.2f} m)"
     if home != round_key:
         template = (

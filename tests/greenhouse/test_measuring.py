@@ -32,9 +32,9 @@ from cucumbervision.run.options import MeasureOptions
 from cucumbervision_greenhouse.jobs import Job
 from cucumbervision_greenhouse.measuring import SharedMeasurer, is_doubtful, measure_waiting
 from cucumbervision_greenhouse.round_view import doubtful
+from cucumbervision_greenhouse.rounds.adding import stored_calibration, stored_capture
 from cucumbervision_greenhouse.rounds.forecasting import fruit_states
 from cucumbervision_greenhouse.rounds.fruit_table import hanging_lengths_m
-from cucumbervision_greenhouse.rounds.stop_records import stored_calibration, stored_capture
 from cucumbervision_greenhouse.store.records import Round, Verdict, key_of
 from cucumbervision_greenhouse.store.repository import Store
 from cucumbervision_greenhouse.store.waiting import Waiting, WaitingCaptures

@@ -201,7 +201,7 @@ def remeasure(
 
     from cucumbervision.cli.console import progress_bar, screen, show_failures
     from cucumbervision.run.measurer import exit_code
-    from cucumbervision_greenhouse.rounds.stop_records import measure_round_again
+    from cucumbervision_greenhouse.rounds.adding import measure_round_again
 
     with opened_round(store, round_) as (opened, round_summary):
         with progress_bar(Console(stderr=True, highlight=False)) as bar:

@@ -23,7 +23,7 @@ from cucumbervision_greenhouse import resources
 from cucumbervision_greenhouse.language import counted, decimal_words, number_words, plain, sentence
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.pages import page_elements
-from cucumbervision_greenhouse.rounds.stop_records import stored_capture
+from cucumbervision_greenhouse.rounds.adding import stored_capture
 from cucumbervision_greenhouse.settings import truth_folder
 
 if TYPE_CHECKING:

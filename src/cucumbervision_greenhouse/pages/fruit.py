@@ -24,8 +24,8 @@ from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.pages import page_elements
 from cucumbervision_greenhouse.pages.page_elements import button, draw_undo, picture
 from cucumbervision_greenhouse.round_view import GradedRound, figure_lines
+from cucumbervision_greenhouse.rounds.adding import stored_calibration
 from cucumbervision_greenhouse.rounds.fruit_table import least_sure_first
-from cucumbervision_greenhouse.rounds.stop_records import stored_calibration
 from cucumbervision_greenhouse.store.records import DetectionDetail, Verdict
 from cucumbervision_greenhouse.words import (
     grade_words,

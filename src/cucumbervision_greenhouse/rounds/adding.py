@@ -3,15 +3,27 @@
 from __future__ import annotations
 
 import hashlib
+import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, replace
-from typing import TYPE_CHECKING, TypeAlias
+from dataclasses import dataclass, field, replace
+from functools import partial
+from itertools import groupby
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
+from cucumbervision._version import __version__
+from cucumbervision.accuracy.calibration_file import SiteCalibration
 from cucumbervision.capture.camera_file import CameraModel
-from cucumbervision.capture.frames import Stop
-from cucumbervision.errors import RoundError, StoreAwayError
+from cucumbervision.capture.frames import Capture, Doubt, Stop
+from cucumbervision.capture.readers.native import MANIFEST
+from cucumbervision.capture.source import CaptureRef
+from cucumbervision.errors import InstancesError, Message, RoundError, StoreAwayError
+from cucumbervision.files import json_value
+from cucumbervision.fruit.instance import Instance, MaskSource
+from cucumbervision.fruit.mask_codes import decode_rle, encode_rle
+from cucumbervision.fruit.masks import box_ious
 from cucumbervision.run.batch import (
     Engine,
     Item,
@@ -22,32 +34,131 @@ from cucumbervision.run.batch import (
     measure_all,
     never,
 )
+from cucumbervision.run.fields import stored_row
 from cucumbervision.run.inputs import Listed, read_captures
 from cucumbervision.run.measurer import Boundary, Failure, Measurer
+from cucumbervision.run.options import GRAVITY_BY_EDGE
+from cucumbervision.tube.shape import arc_positions
 from cucumbervision_greenhouse.rounds.poses import (
     MIDDLE_SD_M,
     PoseLine,
-    placed_stop,
+    offset_of,
     pose_matrix,
     sign_of_side,
+    stored_pose,
 )
-from cucumbervision_greenhouse.rounds.stop_records import stop_record
 from cucumbervision_greenhouse.rounds.walking import refuse_taken
-from cucumbervision_greenhouse.store.records import CaptureRecord, Saved, StopRecord, key_of
+from cucumbervision_greenhouse.store.images import DEPTH_UNIT_M
+from cucumbervision_greenhouse.store.records import (
+    ArtifactRecord,
+    CaptureRecord,
+    FruitRow,
+    Point,
+    Saved,
+    StopRecord,
+    key_of,
+    new_key,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
-    from pathlib import Path
 
     from numpy.typing import NDArray
 
-    from cucumbervision.capture.frames import Capture
+    from cucumbervision.methods.result import Fruit, Measurement
     from cucumbervision.run.measurer import CaptureResult
     from cucumbervision.run.options import MeasureOptions
     from cucumbervision_greenhouse.store.images import ImageStore
+    from cucumbervision_greenhouse.store.records import Round
     from cucumbervision_greenhouse.store.repository import Store
 
 Report: TypeAlias = Callable[["Added"], None]
+
+_POSE_COLUMNS = ("height_m", "yaw_deg", "pitch_deg", "roll_deg")
+_PATH_POINTS = 48  # points of a stored path
+_CALIBRATION = "calibration"
+_SAME_BOX = 0.5  # intersection over union
+
+AS_READ = (
+    *("name", "frame", "burst_frame", "burst_size", "timestamp_s", "simulated", "source"),
+    "gravity",
+)
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where captures were taken, unless their own files or a pose file give it.
+
+    Parameters
+    ----------
+    row, side : str, optional
+        Row of the house, and side of the row.
+    position_m, spacing_m : float, optional
+        Of the first capture along the row, and how far each next one is from the last.
+    position_sd_m : float
+        How sure positions are.
+    sign : int, optional
+        1 where positions get higher to the right in the picture, else -1; by default as
+        `poses.sign_of_side` returns for the side.
+    poses : mapping of str to PoseLine
+        Poses by the capture's name; they take precedence.
+    """
+
+    row: str | None = None
+    side: str | None = None
+    position_m: float | None = None
+    spacing_m: float | None = None
+    position_sd_m: float = MIDDLE_SD_M
+    sign: int | None = None
+    poses: Mapping[str, PoseLine] = field(default_factory=dict)
+
+    def stop(self, capture: Capture, key: str, round_key: str, number: int = 0) -> StopRecord:
+        """Return the stop of a capture, before it is measured.
+
+        The time of a capture that has none is when its file was written, so that two programs that
+        save the same files save the same stop.
+
+        Parameters
+        ----------
+        capture : Capture
+            The frame.
+        key, round_key : str
+            Keys of the stop and its round.
+        number : int
+            Number of earlier captures, for its position and step if nothing else gives them.
+
+        Raises
+        ------
+        RoundError
+            If a pose file has no line for it.
+        """
+        stop, line = capture.stop, self.poses.get(capture.name)
+        if self.poses and line is None:
+            raise RoundError(
+                "the pose file has no line for this capture",
+                source=capture.name,
+                remedy="add one, or leave the pose file out",
+            )
+        position_m, sd_m, turned = stop.position_m, self.position_sd_m, {}
+        if self.position_m is not None:
+            position_m = self.position_m + number * (self.spacing_m or 0.0)
+        row, side = self.row or stop.row, self.side or stop.side
+        if line is not None:
+            row, side, position_m = line.row or row, line.side or side, line.position_m
+            sd_m = line.position_sd_m
+            turned = {name: getattr(line, name) or 0.0 for name in _POSE_COLUMNS}
+        sign = sign_of_side(side) if self.sign is None else self.sign
+        pose = pose_matrix(position_m or 0.0, sign, **turned)
+        camera = CameraModel.of(capture.intrinsics).model_dump(mode="json")
+        return StopRecord(
+            key=key,
+            round_key=round_key,
+            **vars(Stop(row, side, position_m, number + 1 if stop.step is None else stop.step)),
+            position_sd_m=None if position_m is None else sd_m,
+            taken_s=capture.timestamp_s or _written_s(capture.source) or time.time(),
+            pose=tuple(pose.round(9).ravel().tolist()),
+            captures=(CaptureRecord(capture.name, camera=camera),),
+        )
 
 
 @dataclass(frozen=True)
@@ -89,19 +200,15 @@ class RoundCapture(Listed):
     ----------
     input, ref, name
         As in `Listed`.
-    round_key, key : str
-        The round, saved before, and the stop that it is or will be.
-    place : Placed, optional
-        Where a new one was taken.
+    stop : StopRecord
+        The stop that it is or will be, as far as it is known before it is measured.
     is_deleted : bool, optional
         Whether its stop was deleted; None if the round has no such stop.
     keep : bool
         Save it though nothing can be measured in it, or another stop is at its place.
     """
 
-    round_key: str = ""
-    key: str = ""
-    place: Placed | None = None
+    stop: StopRecord
     is_deleted: bool | None = None
     keep: bool = False
 
@@ -121,12 +228,16 @@ class RoundCapture(Listed):
 
         Parameters
         ----------
-        store, round_key, key, keep
-            As above; by default the key is one of the capture's content.
+        store, round_key : Store, str
+            The store, and the round, saved before.
         capture : Capture
             The frame.
+        key : str
+            Of its stop; by default one of the capture's content.
         number, place
-            As for `Placed.of`.
+            As for `Place.stop`.
+        keep : bool
+            As above.
 
         Raises
         ------
@@ -134,17 +245,11 @@ class RoundCapture(Listed):
             If the store cannot be read, or a pose file has no line for the capture.
         """
         key = key or key_of(round_key, capture.name, capture_sha256(capture))
-        is_deleted = store.stop_is_deleted(key)
-        placed = Placed.of(capture, number, place) if is_deleted is None else None
-        listed = Listed.of(capture if placed is None else placed.capture)
-        return cls(
-            **vars(listed),
-            round_key=round_key,
-            key=key,
-            place=placed,
-            is_deleted=is_deleted,
-            keep=keep,
-        )
+        is_deleted, stop = store.stop_is_deleted(key), StopRecord(key, round_key)
+        if is_deleted is None:
+            stop = (place or Place()).stop(capture, key, round_key, number)
+        listed = vars(Listed.of(capture))
+        return cls(**listed, stop=stop, is_deleted=is_deleted, keep=keep)
 
 
 class _New(ResultWorker):
@@ -152,7 +257,7 @@ class _New(ResultWorker):
 
     def read(self, item: Item) -> Outcome[CaptureResult] | tuple[Capture, str]:
         """Read a capture, unless the round has it, deleted or not."""
-        if isinstance(item, RoundCapture) and item.place is None:
+        if isinstance(item, RoundCapture) and item.is_deleted is not None:
             return Outcome()
         return super().read(item)
 
@@ -277,17 +382,17 @@ def _added(
     CucumberVisionError
         If nothing was measured, its place is taken, or it cannot be saved.
     """
-    added = Added(item.name, item.key, deleted=bool(item.is_deleted))
-    if item.place is None or result is None:
-        return added if item.place is None else None
+    added = Added(item.name, item.stop.key, deleted=bool(item.is_deleted))
+    if item.is_deleted is not None or result is None:
+        return None if item.is_deleted is None else added
     if result.error is not None and not item.keep:
         raise result.error
-    if store.stop_is_deleted(item.key) is not None:  # the same capture given twice
+    if store.stop_is_deleted(item.stop.key) is not None:  # the same capture given twice
         return added
     if not item.keep:
-        refuse_taken(store, item.place.unmeasured(item.round_key))
-    stop = item.place.stop(result, measurer, store.images)
-    new = store.save_stop(replace(stop, key=item.key, round_key=item.round_key)) is Saved.NEW
+        refuse_taken(store, item.stop)
+    stop = measured_stop(item.stop, [result], measurer, store.images)
+    new = store.save_stop(stop) is Saved.NEW
     note = "" if result.error is None else result.error.message
     return replace(added, fruit=len(result.fruit) if new else 0, new=new, note=note)
 
@@ -299,116 +404,301 @@ def capture_sha256(capture: Capture) -> str:
     return digest.hexdigest()
 
 
-_POSE_COLUMNS = ("height_m", "yaw_deg", "pitch_deg", "roll_deg")
-
-
-@dataclass(frozen=True)
-class Place:
-    """Where captures were taken, unless their own files or a pose file give it.
+def measured_stop(
+    stop: StopRecord,
+    results: Sequence[CaptureResult],
+    measurer: Measurer | None = None,
+    images: ImageStore | None = None,
+) -> StopRecord:
+    """Return a stop with what was measured there; its pictures are put into `images`.
 
     Parameters
     ----------
-    row, side : str, optional
-        Row of the house, and side of the row.
-    position_m, spacing_m : float, optional
-        Of the first capture along the row, and how far each next one is from the last.
-    position_sd_m : float
-        How sure positions are.
-    sign : int, optional
-        1 where positions get higher to the right in the picture, else -1; by default as
-        `poses.sign_of_side` returns for the side.
-    poses : mapping of str to PoseLine
-        Poses by the capture's name; they take precedence.
+    stop : StopRecord
+        The stop.
+    results : sequence of CaptureResult
+        The captures.
+    measurer : Measurer, optional
+        The measurer, whose software, options, networks and calibration are stored.
+    images : ImageStore, optional
+        None keeps no pictures.
+
+    Raises
+    ------
+    StoreError
+        If a picture cannot be written.
     """
+    pose = stored_pose(stop.pose, stop.side)
+    return replace(
+        stop,
+        captures=tuple(_capture_record(result, pose, images) for result in results),
+        artifacts=() if measurer is None else _artifact_records(measurer, results),
+        failures=tuple(
+            {**vars(failure), "sentence": Message(failure.message).as_json()}
+            for result in results
+            for failure in result.failures
+        ),
+    )
 
-    row: str | None = None
-    side: str | None = None
-    position_m: float | None = None
-    spacing_m: float | None = None
-    position_sd_m: float = MIDDLE_SD_M
-    sign: int | None = None
-    poses: Mapping[str, PoseLine] = field(default_factory=dict)
+
+def _written_s(source: str) -> float | None:
+    """Return when a capture's file, or the manifest of its folder, was written; None if unknown."""
+    if not source:
+        return None
+    path = Path(source)
+    try:
+        return (path / MANIFEST if path.is_dir() else path).stat().st_mtime
+    except (OSError, ValueError):  # in memory, in a bucket, or a frame of a recording
+        return None
 
 
-@dataclass(frozen=True, eq=False)
-class Placed:
-    """A capture with its place in a house.
+def _capture_record(
+    result: CaptureResult, pose: NDArray[np.float64], images: ImageStore | None
+) -> CaptureRecord:
+    capture, pictures = result.capture, dict[str, Any]()
+    if images is not None:
+        pictures = {
+            "color": images.put_color(capture.color),
+            "depth": images.put_depth(capture.depth_m),
+            "thumbnail": images.put_thumbnail(capture.color),
+            "depth_unit_m": DEPTH_UNIT_M,
+        }
+    return CaptureRecord(
+        **{name: getattr(capture, name) for name in AS_READ},
+        width_px=capture.width,
+        height_px=capture.height,
+        fill=round(capture.fill, 4),
+        camera=CameraModel.of(capture.intrinsics).model_dump(mode="json"),
+        provenance=json_value(capture.provenance),
+        doubts=tuple(map(str, capture.doubts)) or None,
+        fruit=tuple(
+            fruit_record(capture, number, fruit, pose)
+            for number, fruit in enumerate(result.fruit, 1)
+        ),
+        **pictures,
+    )
+
+
+def stored_capture(images: ImageStore, record: CaptureRecord, stop: StopRecord) -> Capture:
+    """Return a capture of the store as a frame again.
+
+    Its depth is as it was measured from: already scaled by the site's calibration.
+
+    Raises
+    ------
+    StoredImageError
+        If a picture is missing or damaged.
+    InstancesError
+        If it was kept without pictures.
+    """
+    if record.color is None or record.depth is None:
+        raise InstancesError(
+            "the pictures of this capture were not kept",
+            source=record.name,
+            remedy="measure the capture again",
+        )
+    return Capture(
+        images.read_color(record.color),
+        images.read_depth(record.depth, record.depth_unit_m or DEPTH_UNIT_M),
+        CameraModel.model_validate(dict(record.camera)).intrinsics,
+        stop=Stop(stop.row, stop.side, stop.position_m, stop.step),
+        provenance=dict[str, Any](record.provenance),
+        doubts=tuple(map(Doubt, record.doubts or ())),
+        **{name: getattr(record, name) for name in AS_READ},
+    )
+
+
+def fruit_record(
+    capture: Capture, number: int, fruit: Fruit, pose: NDArray[np.float64]
+) -> FruitRow:
+    """Return the row of a capture's fruit by its number from 1, with mask and path.
 
     Parameters
     ----------
-    capture : Capture
-        Its `stop` gives the place.
-    position_sd_m : float, optional
-        How sure the position is; None without one.
+    capture, number, fruit
+        As above.
     pose : ndarray of float64, shape (4, 4)
-        The camera's.
+        The camera's, which gives the fruit's offset along the row.
     """
+    keypoints, chosen = fruit.instance.keypoints, fruit.selected
+    cells: dict[str, Any] = stored_row(capture, number, fruit)
+    row = FruitRow(
+        **cells,
+        keypoints=() if keypoints is None else _rows_of(keypoints),
+        mask=None if fruit.mask is None else encode_rle(fruit.mask),
+        **({} if chosen is None else _path_of(chosen)),
+    )
+    if (offset := offset_of(row, pose)) is not None:
+        row.offset_m, row.offset_sd_m = (round(float(part[0]), 5) for part in offset)
+    return row
 
-    capture: Capture
-    position_sd_m: float | None
-    pose: NDArray[np.float64]
 
-    @classmethod
-    def of(cls, capture: Capture, number: int = 0, place: Place | None = None) -> Placed:
-        """Place a capture.
+def instance_of(record: FruitRow, shape: tuple[int, int]) -> Instance:
+    """Return a stored fruit as an instance in a picture of this height and width."""
+    edges = (record.box_x1_px, record.box_y1_px, record.box_x2_px, record.box_y2_px)
+    return Instance(
+        np.array(edges),
+        record.score,
+        record.label,
+        mask=None if record.mask is None else decode_rle(record.mask, *shape),
+        mask_source=MaskSource(record.mask_source) if record.mask_source else None,
+        keypoints=np.array(record.keypoints) if record.keypoints else None,
+    )
 
-        Parameters
-        ----------
-        capture : Capture
-            The frame.
-        number : int
-            Number of earlier captures, for its position and step if nothing else gives them.
-        place : Place, optional
-            Where it was taken.
 
-        Raises
-        ------
-        RoundError
-            If a pose file has no line for it.
-        """
-        place, stop = place or Place(), capture.stop
-        line = place.poses.get(capture.name)
-        if place.poses and line is None:
-            raise RoundError(
-                "the pose file has no line for this capture",
-                source=capture.name,
-                remedy="add one, or leave the pose file out",
-            )
-        position = stop.position_m
-        if place.position_m is not None:
-            position = place.position_m + number * (place.spacing_m or 0.0)
-        row, side = place.row or stop.row, place.side or stop.side
-        step = number + 1 if stop.step is None else stop.step
-        sd, turned = place.position_sd_m, {}
-        if line is not None:
-            row, side, position = line.row or row, line.side or side, line.position_m
-            sd = line.position_sd_m
-            turned = {name: getattr(line, name) or 0.0 for name in _POSE_COLUMNS}
-        sign = sign_of_side(side) if place.sign is None else place.sign
-        pose = pose_matrix(position or 0.0, sign, **turned)
-        spot = Stop(row, side, position, step)
-        return cls(replace(capture, stop=spot), None if position is None else sd, pose)
+def stored_calibration(stop: StopRecord) -> SiteCalibration | None:
+    """Return the site's calibration that a stop was measured with; None without one."""
+    details = [artifact.details for artifact in stop.artifacts if artifact.kind == _CALIBRATION]
+    return SiteCalibration.model_validate(dict(details[0])) if details else None
 
-    def unmeasured(self, round_key: str) -> StopRecord:
-        """Return the stop of this capture as far as it is known before it is measured."""
-        camera = CameraModel.of(self.capture.intrinsics).model_dump(mode="json")
-        captures = (CaptureRecord(self.capture.name, camera=camera),)
-        pose = tuple(self.pose.ravel().tolist())
-        return StopRecord("", round_key, **asdict(self.capture.stop), pose=pose, captures=captures)
 
-    def stop(
-        self, result: CaptureResult, measurer: Measurer, images: ImageStore | None
-    ) -> StopRecord:
-        """Return the stop of what was measured in it, with the fruit's offsets along the row.
+def _artifact_records(
+    measurer: Measurer, results: Sequence[CaptureResult]
+) -> tuple[ArtifactRecord, ...]:
+    """Return software, configuration, networks and calibration that a measurer measures with."""
+    options, site = measurer.options, measurer.site
+    records = [
+        ArtifactRecord("software", f"cucumbervision {__version__}"),
+        ArtifactRecord("config", "measure", options.sha256, options.as_json()),
+    ]
+    models = [model for result in results for model in result.models]
+    for model in [candidate for k, candidate in enumerate(models) if candidate not in models[:k]]:
+        details = {k: v for k, v in model.items() if k not in {"name", "sha256"}}
+        sha256 = str(model.get("sha256") or "")
+        records.append(ArtifactRecord("model", str(model["name"]), sha256, json_value(details)))
+    if site is not None:
+        details = site.model_dump(mode="json")
+        records.append(ArtifactRecord(_CALIBRATION, site.name, site.sha256, details))
+    return tuple(records)
 
-        It has no key and no round yet. Where nothing was measured, it has the failure.
 
-        Raises
-        ------
-        StoreError
-            If a picture cannot be written.
-        """
-        sd_m = self.position_sd_m
-        stop = stop_record("", [result], measurer, key="", position_sd_m=sd_m, images=images)
-        pose = tuple(self.pose.round(9).ravel().tolist())
-        return replace(placed_stop(stop, self.pose), pose=pose)
+def _path_of(measurement: Measurement) -> dict[str, Any]:
+    """Return the line that was measured, and the tube's diameter along it."""
+    fit, path = measurement.fit, measurement.path_m
+    diameter: NDArray[np.float64] | None = None
+    if fit is not None:
+        path = fit.traits.axis_m
+        diameter = np.interp(arc_positions(path), fit.traits.along_m, fit.traits.diameter_m)
+    if path is None or not len(path):
+        return {}
+    points = np.linspace(0, len(path) - 1, min(len(path), _PATH_POINTS)).round().astype(int)
+    kept = np.unique(points)
+    return {
+        "path_m": _rows_of(np.round(path[kept], 6)),
+        "diameter_m": () if diameter is None else tuple(np.round(diameter[kept], 6).tolist()),
+    }
+
+
+def _rows_of(values: NDArray[np.float64]) -> tuple[Point, ...]:
+    return tuple(tuple(line) for line in values.tolist())
+
+
+def measure_round_again(
+    store: Store,
+    old: Round,
+    options: MeasureOptions,
+    report: Callable[[int, int], None] | None = None,
+    loop: LoopOptions | None = None,
+) -> tuple[str, list[Failure]]:
+    """Measure the stored captures of a round again, into a new round that takes its place.
+
+    The old round is deleted, which can be undone. A fruit that somebody accepted, rejected, picked
+    or drew keeps that; one that is not found again is measured in its old outline.
+
+    Parameters
+    ----------
+    store : Store
+        Where the round is.
+    old : Round
+        The round.
+    options : MeasureOptions
+        How to measure.
+    report : callable, optional
+        Given how many stops are done, and of how many.
+    loop : LoopOptions, optional
+        Options of the loop.
+
+    Returns
+    -------
+    key : str
+        Of the new round; of the old one where anything failed, and nothing is changed.
+    failures : list of Failure
+        Why.
+    """
+    measurer, loop = Measurer(options), loop or LoopOptions()
+    new, failures = replace(old, key=new_key(), stops=0, fruit=0, last_s=None), list[Failure]()
+    stops = {view.key: store.stop(view.key) for view in store.stops(old.key)}
+
+    def items() -> Iterator[Listed]:
+        for key, stop in stops.items():
+            for capture in stop.captures:
+                load = partial(_uncalibrated, store, capture, stop, options)
+                yield Listed(key, CaptureRef(capture.name, capture.frame or 0, load), capture.name)
+
+    measured = measure_all(items(), ResultWorker(measurer), loop.engine, loop.is_cancelled)
+    again: dict[str, list[CaptureResult]] = {}
+    for key, group in groupby(measured, lambda pair: pair[0].input):
+        for _, outcome in group:
+            if outcome.value is None or outcome.value.error is not None:
+                failures += outcome.failures
+            else:
+                again.setdefault(key, []).append(outcome.value)
+        if report is not None:
+            report(len(again), len(stops))
+    if failures or len(again) < len(stops):
+        return old.key, failures
+    with Boundary(failures, store.name, old.name or old.key):
+        store.save_round(new)
+        for key, stop in stops.items():
+            _save_again(store, new.key, stop, again[key], measurer)
+        store.delete_round(old.key)
+    return (old.key if failures else new.key), failures
+
+
+def _uncalibrated(
+    store: Store, record: CaptureRecord, stop: StopRecord, options: MeasureOptions
+) -> Capture:
+    """Return a stored capture as it was before a calibration, with the data set's own masks."""
+    capture = stored_capture(store.images, record, stop)
+    if options.camera_up is not None and capture.gravity in GRAVITY_BY_EDGE.values():
+        capture = replace(capture, gravity=None)  # an option's, which is named anew
+    if (site := stored_calibration(stop)) is not None:
+        capture = replace(capture, depth_m=capture.depth_m * np.float32(site.depth_divisor))
+        if site.lens is not None:
+            capture = replace(capture, intrinsics=site.camera.intrinsics.intrinsics)
+    masks = [
+        decode_rle(fruit.mask, capture.height, capture.width)
+        for fruit in record.fruit
+        if fruit.mask is not None and fruit.mask_source == MaskSource.DATASET
+    ]
+    return replace(capture, masks=tuple(masks))
+
+
+def _save_again(
+    store: Store, round_key: str, stop: StopRecord, results: list[CaptureResult], measurer: Measurer
+) -> None:
+    """Save a stop of the new round, at its place, with what people decided about its fruit."""
+    views = [
+        view for view in store.detections(stop.round_key, shapes=True) if view.stop_key == stop.key
+    ]
+    key, decided = key_of(round_key, stop.key), []
+    for place, (result, taken) in enumerate(zip(results, stop.captures, strict=True)):
+        fruit = list(result.fruit)
+        boxes = np.array([found.instance.box for found in fruit]).reshape(-1, 4)
+        for view in (view for view in views if view.capture == taken.name):
+            if not (view.verdict or view.corrected or view.picked_s is not None):
+                continue
+            old = instance_of(view, result.capture.depth_m.shape)
+            overlap = box_ious(old.box[None], boxes)[0] if len(boxes) else np.zeros(0)
+            number = int(overlap.argmax()) if overlap.max(initial=0.0) >= _SAME_BOX else len(fruit)
+            if view.corrected or number == len(fruit):
+                fruit[number : number + 1] = [measurer.measure_instance(result.capture, old)]
+            decided.append((view, key_of("fruit", key, place, number + 1)))
+        results[place] = replace(result, fruit=tuple(fruit))
+    now = replace(stop, key=key, round_key=round_key, pose=stop.pose_now, mirrored=False)
+    store.save_stop(measured_stop(now, results, measurer, store.images))
+    for view, fruit_key in decided:
+        if view.verdict:
+            store.set_verdict([fruit_key], view.verdict)
+        if view.picked_s is not None:
+            store.pick([fruit_key], at_s=view.picked_s)

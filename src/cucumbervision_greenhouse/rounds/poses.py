@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,7 +18,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from cucumbervision_greenhouse.store.records import FruitRow, StopRecord
+    from cucumbervision_greenhouse.store.records import FruitRow
 
 MIDDLE_SD_M = 0.03  # how well an operator knows where along the row a stop is
 
@@ -231,29 +230,3 @@ def offset_of(
     # is the difference in depth between its left and its right.
     depth = np.hypot(across if tube else SURFACE_DEPTH_SD_M, _TURN_SD * abs(float(offset[0])))
     return offset, np.array([across, up, depth])
-
-
-def placed_fruit(fruit: FruitRow, pose: NDArray[np.float64]) -> FruitRow:
-    """Return a fruit with its offset along the row from the camera's pose.
-
-    Examples
-    --------
-    >>> from cucumbervision_greenhouse.store.records import FruitRow
-    >>> fruit = FruitRow(1, centre_x_m=0.1, centre_y_m=0.0, centre_z_m=0.7)
-    >>> placed_fruit(fruit, pose_matrix(2.0, -1)).offset_m
-    -0.1
-    """
-    offset = offset_of(fruit, pose)
-    if offset is None:
-        return fruit
-    offset_m, sd_m = (round(float(values[0]), 5) for values in offset)
-    return fruit.with_(offset_m=offset_m, offset_sd_m=sd_m)
-
-
-def placed_stop(stop: StopRecord, pose: NDArray[np.float64]) -> StopRecord:
-    """Return a stop whose fruit have their offsets along the row from the camera's pose."""
-    captures = tuple(
-        replace(capture, fruit=tuple(placed_fruit(fruit, pose) for fruit in capture.fruit))
-        for capture in stop.captures
-    )
-    return replace(stop, captures=captures)

@@ -17,7 +17,7 @@ pytest.importorskip("streamlit")
 pytest.importorskip("pyrealsense2", exc_type=ImportError)
 
 
-from cucumbervision_greenhouse.rounds.stop_records import stored_capture
+from cucumbervision_greenhouse.rounds.adding import stored_capture
 from cucumbervision_greenhouse.settings import Settings, settings_file, write_settings
 from cucumbervision_greenhouse.store.records import Round, key_of
 from cucumbervision_greenhouse.store.repository import open_store

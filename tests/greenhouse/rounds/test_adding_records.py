@@ -19,11 +19,23 @@ from cucumbervision.methods.result import Fruit, MethodName
 from cucumbervision.methods.selector import measure_fruit
 from cucumbervision.run.measurer import CaptureResult, Failure, Measurer
 from cucumbervision.run.options import MeasureOptions
-from cucumbervision_greenhouse.rounds.stop_records import fruit_record, stop_record
-from cucumbervision_greenhouse.store.records import Round
+from cucumbervision_greenhouse.rounds.adding import Place, fruit_record, measured_stop
+from cucumbervision_greenhouse.rounds.poses import pose_matrix
+from cucumbervision_greenhouse.store.images import ImageStore
+from cucumbervision_greenhouse.store.records import Round, StopRecord, key_of
 from cucumbervision_greenhouse.store.repository import Store, open_store
 
 OPTIONS = MeasureOptions(instances="dataset")
+
+
+def stop_of(
+    result: CaptureResult,
+    measurer: Measurer | None = None,
+    images: ImageStore | None = None,
+    round_key: str = "r",
+) -> StopRecord:
+    stop = Place().stop(result.capture, key_of("k"), round_key)
+    return measured_stop(stop, [result], measurer, images)
 
 
 @pytest.fixture(scope="module")
@@ -44,13 +56,8 @@ def test_a_measured_capture_is_saved_and_comes_back_whole(
     failure = Failure("folder", "b", "CaptureError", str(CaptureError("is empty")))
     with open_store(tmp_path / "house.db") as store:
         store.save_round(walk)
-        stop = stop_record(
-            walk.key,
-            [replace(measured, failures=(failure,), models=networks)],
-            measurer,
-            position_sd_m=0.03,
-            images=store.images,
-        )
+        result = replace(measured, failures=(failure,), models=networks)
+        stop = stop_of(result, measurer, store.images, walk.key)
         store.save_stop(stop)
         assert store.stop(stop.key) == stop
         _check_place(store, walk.key)
@@ -83,17 +90,17 @@ def test_a_stop_of_a_file_without_a_time_has_the_files_time_whoever_saves_it(
     folder = write_native(replace(measured.capture, timestamp_s=None), tmp_path / "a").parent
     os.utime(folder / "capture.json", (1_700_000_000.0, 1_700_000_000.5))
     capture = replace(measured.capture, timestamp_s=None, source=str(folder))
-    saved = [stop_record("r", [replace(measured, capture=capture)], key="k") for _ in range(2)]
+    saved = [stop_of(replace(measured, capture=capture)) for _ in range(2)]
     assert saved[0] == saved[1]
     assert saved[0].taken_s == 1_700_000_000.5
     timed = replace(capture, timestamp_s=1_600_000_000.0)
-    assert stop_record("r", [replace(measured, capture=timed)]).taken_s == 1_600_000_000.0
+    assert Place().stop(timed, "k", "r").taken_s == 1_600_000_000.0
     elsewhere = replace(capture, source="s3://bucket/a")
-    assert stop_record("r", [replace(measured, capture=elsewhere)]).taken_s > 1_700_000_001
+    assert Place().stop(elsewhere, "k", "r").taken_s > 1_700_000_001
 
 
 def test_a_fruits_record_says_what_its_row_says(measured: CaptureResult) -> None:
-    [stop] = stop_record("r", [measured]).captures
+    [stop] = stop_of(measured).captures
     for record, row, fruit in zip(stop.fruit, measured.rows(), measured.fruit, strict=True):
         for metres, column in (
             ("length_m", "length_cm"),
@@ -122,7 +129,7 @@ def test_a_fruits_record_says_what_its_row_says(measured: CaptureResult) -> None
 def test_a_fruit_lies_where_the_picture_shows_it(measured: CaptureResult) -> None:
     # Of `SCENES`: the middles of the three fruit, camera coordinates.
     drawn = [(-0.17, 0.52), (0.02, 0.55), (0.20, 0.50)]
-    [capture] = stop_record("r", [measured]).captures
+    [capture] = stop_of(measured).captures
     found = sorted((f.centre_x_m, f.centre_z_m, f.offset_m) for f in capture.fruit if f.centre_x_m)
     for (x, z), (x_m, z_m, offset_m) in zip(drawn, found, strict=True):
         assert x_m == offset_m == pytest.approx(x, abs=0.015)
@@ -130,7 +137,7 @@ def test_a_fruit_lies_where_the_picture_shows_it(measured: CaptureResult) -> Non
 
 
 def test_a_tubes_axis_is_kept_with_a_diameter_at_every_point(measured: CaptureResult) -> None:
-    record = fruit_record(measured.capture, 1, measured.fruit[0])
+    record = fruit_record(measured.capture, 1, measured.fruit[0], pose_matrix(0.0))
     assert len(record.path_m) == len(record.diameter_m) == 48
     along = np.linalg.norm(np.diff(np.array(record.path_m), axis=0), axis=1).sum()
     assert along == pytest.approx(record.centreline_m, rel=0.01)
@@ -145,7 +152,7 @@ def test_a_fruit_that_nothing_measured_is_kept_too(measured: CaptureResult) -> N
     nothing = measure_fruit(measured.capture, Instance(np.array([0.5, 0.5, 9.5, 9.5])))
     dark = replace(measured.capture, depth_m=np.zeros_like(measured.capture.depth_m))
     nothing = measure_fruit(dark, nothing.instance)
-    record = fruit_record(dark, 1, nothing)
+    record = fruit_record(dark, 1, nothing, pose_matrix(0.0))
     assert (record.length_m, record.method, record.view_score) == (None, None, 0.0)
     assert (record.reason, record.mask, record.centre_x_m) == ("no-depth", None, None)
     assert (record.path_m, record.diameter_m) == ((), ())
@@ -155,7 +162,7 @@ def test_a_view_that_shows_less_scores_less(measured: CaptureResult) -> None:
     fruit = measured.fruit[0]
 
     def score(fruit: Fruit) -> float:
-        return float(fruit_record(measured.capture, 1, fruit).view_score)
+        return float(fruit_record(measured.capture, 1, fruit, pose_matrix(0.0)).view_score)
 
     def seen(hidden: float, *flags: Flag) -> float:
         assert fruit.fit is not None
@@ -177,5 +184,5 @@ def test_provenance_of_numpy_numbers_and_paths_is_stored(measured: CaptureResult
         measured.capture,
         provenance={"gain": np.float32(0.5), "list": np.arange(2), "from": Path("a")},
     )
-    [capture] = stop_record("r", [CaptureResult(odd)]).captures
+    [capture] = stop_of(CaptureResult(odd)).captures
     assert capture.provenance == {"gain": 0.5, "list": [0, 1], "from": "a"}

@@ -130,7 +130,7 @@ def linked(days: float, settings: SimulatedRow, swing_m: float, seed: int) -> ND
     second = walk(plants, settings, rng)
     rows = [first, second]
     merged = [merge_row(row.stops, row.views) for row in rows]
-    fruit = [row_fruit(m, row.views) for m, row in zip(merged, rows, strict=True)]
+    fruit = [row_fruit(m.cluster, m.stops, row.views) for m, row in zip(merged, rows, strict=True)]
     links: DayLinks = link_days(fruit[0], fruit[1], days)
     names = [row.of_fruit[f.best] for row, f in zip(rows, fruit, strict=True)]
     right = names[0][links.pairs[:, 0]] == names[1][links.pairs[:, 1]]

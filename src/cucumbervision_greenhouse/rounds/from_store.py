@@ -12,10 +12,8 @@ import numpy as np
 from cucumbervision.errors import RoundError
 from cucumbervision.methods.matching import ALONG, DEPTH, UP
 from cucumbervision.methods.result import UNKNOWN_SD, LengthDefinition
-from cucumbervision_greenhouse.rounds.merge import Merged, cluster_pairs
 from cucumbervision_greenhouse.rounds.poses import MIDDLE_SD_M, offset_of, stored_pose
 from cucumbervision_greenhouse.rounds.row_views import RowStops, RowViews
-from cucumbervision_greenhouse.rounds.stop_alignment import prior_stops
 from cucumbervision_greenhouse.store.records import Verdict
 
 if TYPE_CHECKING:
@@ -248,8 +246,8 @@ def _length(view: FruitRow) -> tuple[float, float]:
     return length.value_m, max(length.relative_sd or UNKNOWN_SD, least_sd)
 
 
-def stored_merging(content: RoundContent, row: StoredRow) -> Merged:
-    """Return a row as it was merged and saved, with corrections by hand."""
+def stored_merging(content: RoundContent, row: StoredRow) -> tuple[Ints, RowStops]:
+    """Return each view's fruit, and the stops, as a row was merged and saved."""
     names = [content.group_of[key] for key in row.fruit_keys]
     _, cluster = np.unique(np.array(names, dtype=str), return_inverse=True)
     at_m, sd_m = row.stops.at_m.copy(), row.stops.sd_m.copy()
@@ -257,6 +255,4 @@ def stored_merging(content: RoundContent, row: StoredRow) -> Merged:
         stop = content.stop_of[key]
         if stop.fitted_m is not None:
             at_m[k, ALONG], sd_m[k, ALONG] = stop.fitted_m, stop.fitted_sd_m or sd_m[k, ALONG]
-    fitted = prior_stops(replace(row.stops, at_m=at_m, sd_m=sd_m))
-    pairs = np.column_stack(cluster_pairs(cluster))
-    return Merged(cluster, fitted, pairs, np.ones(len(pairs)))
+    return cluster, replace(row.stops, at_m=at_m, sd_m=sd_m)

@@ -120,7 +120,7 @@ def _pooled(content: RoundContent) -> dict[str, tuple[float, float, int]]:
     for row in content.rows:
         if not len(row.views):
             continue
-        cluster = stored_merging(content, row).cluster
+        cluster, _ = stored_merging(content, row)
         views = row.views
         order = np.argsort(cluster, kind="stable")
         for members in np.split(order, np.flatnonzero(np.diff(cluster[order])) + 1):

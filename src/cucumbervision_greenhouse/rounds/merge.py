@@ -12,13 +12,9 @@ from cucumbervision_greenhouse.rounds.row_views import (
     RowStops,
     RowViews,
     crowd_of,
+    fit_stops,
     pairs_within,
     shape_ratio,
-)
-from cucumbervision_greenhouse.rounds.stop_alignment import (
-    FittedStops,
-    fit_stops,
-    prior_stops,
     vote_pairs,
 )
 
@@ -157,8 +153,6 @@ def cluster_pairs(cluster: Ints) -> tuple[Ints, Ints]:
     return np.minimum(i, j), np.maximum(i, j)
 
 
-NO_PAIRS: Ints = np.zeros((0, 2), np.int64)
-
 _GATE_SD = 4.0
 _PASSES = 4  # of assignment and estimation
 _SEEN_AGAIN = 0.9  # share of the captures which could show a fruit that do show it
@@ -175,8 +169,8 @@ class Merged:
     ----------
     cluster : ndarray of int64, shape (N,)
         Number of each view's fruit, from 0 in the order along the row.
-    stops : FittedStops
-        Where the stops were.
+    stops : RowStops
+        The stops, as they were estimated.
     pairs : ndarray of int64, shape (K, 2)
         All pairs of views of one fruit.
     probability : ndarray of float64, shape (K,)
@@ -187,14 +181,10 @@ class Merged:
     """
 
     cluster: Ints
-    stops: FittedStops
+    stops: RowStops
     pairs: Ints
     probability: Floats
     mirrored: tuple[int, ...] = ()
-
-    def place_m(self, views: RowViews) -> Floats:
-        """Return each view's place in the row's frame, shape (N, 3), metres."""
-        return np.asarray(self.stops.at_m[views.stop] + views.offset_m)
 
 
 def merge_row(stops: RowStops, views: RowViews) -> Merged:
@@ -226,9 +216,11 @@ def merge_row(stops: RowStops, views: RowViews) -> Merged:
     >>> merge_row(stops, views).cluster.tolist()
     [0, 0]
     """
+    if not len(views):
+        nothing = np.zeros(0)
+        return Merged(nothing.astype(np.int64), stops, np.zeros((0, 2), np.int64), nothing)
     crowd = crowd_of(views, _views_per_m(stops, views))
-    start = prior_stops(stops)
-    i, j = _candidates(start, views)
+    i, j = _candidates(stops, views)
     one_side = stops.side[views.stop[i]] == stops.side[views.stop[j]]
     first, second = i[one_side], j[one_side]
     apart = views.stop[first] != views.stop[second]
@@ -236,17 +228,17 @@ def merge_row(stops: RowStops, views: RowViews) -> Merged:
     mirrored = _mirrored(stops, views, crowd)
     fitted = fit_stops(stops, views, voted[0], voted[1], np.full(len(voted[0]), 0.8))
     if len(np.unique(stops.side)) > 1:
-        stops = _set_across(stops, _vote_across(fitted, stops, views, crowd))
+        stops = _set_across(stops, _vote_across(fitted, views, crowd))
         fitted = fit_stops(stops, views, voted[0], voted[1], np.full(len(voted[0]), 0.8))
     cluster: Ints = np.arange(len(views))
     for _ in range(_PASSES):
-        i, j, ratio = _rated(fitted, stops, views, crowd)
+        i, j, ratio = _rated(fitted, views, crowd)
         cluster = sweep(views, i, j, ratio, cluster)
         cluster = sweep(views, i, j, ratio, join_clusters(views, i, j, ratio, cluster))
         a, b = cluster_pairs(cluster)
         m = np.bincount(cluster, minlength=len(views))[cluster[a]]
         fitted = fit_stops(stops, views, a, b, 2.0 / np.maximum(m, 1))
-    i, j, ratio = _rated(fitted, stops, views, crowd)
+    i, j, ratio = _rated(fitted, views, crowd)
     cluster = join_clusters(views, i, j, ratio, sweep(views, i, j, ratio, cluster))
     along = fitted.at_m[views.stop, ALONG] + views.offset_m[:, ALONG]
     numbers = _numbered(cluster, along)
@@ -262,53 +254,47 @@ def merge_row(stops: RowStops, views: RowViews) -> Merged:
 
 def _views_per_m(stops: RowStops, views: RowViews) -> float:
     """Return how many views a capture has per metre of row that it shows."""
-    if not len(views):
-        return 0.0
     captures, first_view = np.unique(views.capture, return_index=True)
     typical_depth_m = float(np.median(np.abs(views.offset_m[:, DEPTH])))
     width_m = 2 * stops.reach[views.stop[first_view], 0] * typical_depth_m
     return len(views) / max(float(width_m.sum()), 1e-6 * len(captures))
 
 
-def _candidates(fitted: FittedStops, views: RowViews) -> tuple[Ints, Ints]:
+def _candidates(stops: RowStops, views: RowViews) -> tuple[Ints, Ints]:
     """Return pairs of views of different captures that may be one fruit, by their place alone."""
-    along = fitted.at_m[views.stop, ALONG] + views.offset_m[:, ALONG]
-    place_sd_m = np.hypot(fitted.sd_m[views.stop, ALONG], views.offset_sd_m[:, ALONG])
+    along = stops.at_m[views.stop, ALONG] + views.offset_m[:, ALONG]
+    place_sd_m = np.hypot(stops.sd_m[views.stop, ALONG], views.offset_sd_m[:, ALONG])
     i, j = pairs_within(along, _GATE_SD * np.sqrt(2) * place_sd_m)
     different_capture = views.capture[i] != views.capture[j]
     return i[different_capture], j[different_capture]
 
 
-def _gaps(fitted: FittedStops, views: RowViews, i: Ints, j: Ints) -> tuple[Floats, Floats]:
+def _gaps(stops: RowStops, views: RowViews, i: Ints, j: Ints) -> tuple[Floats, Floats]:
     """Return how far views j are from views i, shape (K, 3), and the variance of that."""
     s, t = views.stop[i], views.stop[j]
-    gap = fitted.at_m[t] + views.offset_m[j] - fitted.at_m[s] - views.offset_m[i]
-    variance = views.offset_sd_m[i] ** 2 + views.offset_sd_m[j] ** 2 + fitted.gap_variance(s, t)
+    gap = stops.at_m[t] + views.offset_m[j] - stops.at_m[s] - views.offset_m[i]
+    variance = views.offset_sd_m[i] ** 2 + views.offset_sd_m[j] ** 2 + stops.gap_variance(s, t)
     return gap, variance
 
 
-def _rated(
-    fitted: FittedStops, stops: RowStops, views: RowViews, crowd: Crowd
-) -> tuple[Ints, Ints, Floats]:
+def _rated(stops: RowStops, views: RowViews, crowd: Crowd) -> tuple[Ints, Ints, Floats]:
     """Return the candidates and their log likelihood ratios."""
-    i, j = _candidates(fitted, views)
+    i, j = _candidates(stops, views)
     i, j = np.minimum(i, j), np.maximum(i, j)
     order = np.lexsort((j, i))
     i, j = i[order], j[order]
-    gap, variance = _gaps(fitted, views, i, j)
+    gap, variance = _gaps(stops, views, i, j)
     ratio = position_ratio(gap, variance, crowd) + shape_ratio(views, i, j, crowd)
     across = stops.side[views.stop[i]] != stops.side[views.stop[j]]
     return i, j, ratio + np.log(np.where(across, _SEEN_ACROSS, _SEEN_AGAIN))
 
 
-def _vote_across(
-    fitted: FittedStops, stops: RowStops, views: RowViews, crowd: Crowd
-) -> tuple[float, float]:
+def _vote_across(stops: RowStops, views: RowViews, crowd: Crowd) -> tuple[float, float]:
     """Estimate how far apart the two aisles' cameras are, from pairs alike in all but depth."""
-    i, j = _candidates(fitted, views)
+    i, j = _candidates(stops, views)
     across = stops.side[views.stop[i]] != stops.side[views.stop[j]]
     i, j = i[across], j[across]
-    gap, variance = _gaps(fitted, views, i, j)
+    gap, variance = _gaps(stops, views, i, j)
     distance_m = np.abs(gap[:, DEPTH])
     gap, depth_variance = gap * [1.0, 1.0, 0.0], variance[:, DEPTH]
     ratio = position_ratio(gap, variance, crowd) + shape_ratio(views, i, j, crowd)
@@ -337,7 +323,7 @@ def _mirrored(stops: RowStops, views: RowViews, crowd: Crowd) -> tuple[int, ...]
         support = []
         for sign in (1.0, -1.0):
             turned = replace(views, offset_m=views.offset_m * [sign, 1.0, 1.0])
-            i, j = _candidates(prior_stops(stops), turned)
+            i, j = _candidates(stops, turned)
             s, t = views.stop[i], views.stop[j]
             of_side = (stops.side[s] == side) & (stops.side[t] == side) & (s != t)
             support.append(vote_pairs(stops, turned, i[of_side], j[of_side], crowd)[2])

@@ -21,10 +21,9 @@ from cucumbervision_greenhouse.rounds.from_store import (
     read_round,
     stored_merging,
 )
-from cucumbervision_greenhouse.rounds.merge import NO_PAIRS, Merged, merge_row
+from cucumbervision_greenhouse.rounds.merge import merge_row
 from cucumbervision_greenhouse.rounds.poses import sign_of_side
 from cucumbervision_greenhouse.rounds.row_views import row_fruit
-from cucumbervision_greenhouse.rounds.stop_alignment import prior_stops
 from cucumbervision_greenhouse.rounds.walking import is_demonstration, refuse_taken
 from cucumbervision_greenhouse.store.links import LinkKind, LinkRecord
 from cucumbervision_greenhouse.store.marks import MOVE_ROUND, STOP_EDITS
@@ -35,6 +34,7 @@ if TYPE_CHECKING:
     from cucumbervision.capture.frames import Stop
     from cucumbervision.crop.profiles import CropProfile
     from cucumbervision_greenhouse.rounds.from_store import StoredRow
+    from cucumbervision_greenhouse.rounds.row_views import RowStops
     from cucumbervision_greenhouse.store.records import Round, StopRecord
     from cucumbervision_greenhouse.store.repository import Store
     from cucumbervision_greenhouse.store.waiting import WaitingCaptures
@@ -121,34 +121,34 @@ def merge_round(store: Store, round_key: str) -> list[RowCounts]:
     positions: dict[str, tuple[float, float]] = {}
     reports = []
     for row in read_round(store, round_key).rows:
-        merged = _merged(row)
+        merged = merge_row(row.stops, row.views)
         for (a, b), chance in zip(merged.pairs.tolist(), merged.probability.tolist(), strict=True):
             first, second = row.fruit_keys[a], row.fruit_keys[b]
             links.append(LinkRecord(LinkKind.SAME, first, second, chance))
         along = merged.stops.at_m[:, ALONG].tolist(), merged.stops.sd_m[:, ALONG].tolist()
         positions |= dict(zip(row.stop_keys, zip(*along, strict=True), strict=True))
         fruit = len(np.unique(merged.cluster)) + row.unplaced
-        reports.append(_report(row, merged, fruit))
+        reports.append(_counts(row, merged.stops, fruit, merged.mirrored))
     store.save_merging(round_key, links, positions)
     return reports
 
 
-def _merged(row: StoredRow) -> Merged:
-    if not len(row.views):
-        nothing = np.zeros(0)
-        return Merged(nothing.astype(np.int64), prior_stops(row.stops), NO_PAIRS, nothing)
-    return merge_row(row.stops, row.views)
-
-
-def _report(row: StoredRow, merged: Merged, fruit: int, *, done: bool = True) -> RowCounts:
+def _counts(
+    row: StoredRow,
+    stops: RowStops,
+    fruit: int,
+    mirrored: tuple[int, ...] = (),
+    *,
+    done: bool = True,
+) -> RowCounts:
     return RowCounts(
         row=row.name,
-        stops=len(row.stops),
+        stops=len(stops),
         views=len(row.views),
         fruit=fruit,
         merged=done,
-        stop_sd_m=float(merged.stops.sd_m[:, ALONG].mean()) if len(row.stops) else None,
-        mirrored=tuple(row.sides[side] for side in merged.mirrored),
+        stop_sd_m=float(stops.sd_m[:, ALONG].mean()) if len(stops) else None,
+        mirrored=tuple(row.sides[side] for side in mirrored),
         unplaced=row.unplaced,
     )
 
@@ -159,10 +159,8 @@ def row_counts(content: RoundContent) -> tuple[RowCounts, ...]:
     fitted = {stop.key for stop in content.stops if stop.fitted_m is not None}
     fruit = Counter(view.row or "" for view in counted_fruit(content.views))
     return tuple(
-        _report(
-            row,
-            stored_merging(content, row),
-            fruit[row.name],
+        _counts(
+            *(row, stored_merging(content, row)[1], fruit[row.name]),
             done=not fitted.isdisjoint(row.stop_keys),
         )
         for row in content.rows
@@ -220,7 +218,7 @@ def link_rounds(
         if before is None or not len(row.views):
             continue
         fruit = [
-            row_fruit(stored_merging(content, row_content), row_content.views)
+            row_fruit(*stored_merging(content, row_content), row_content.views)
             for content, row_content in zip(contents, (before, row), strict=True)
         ]
         linked = link_days(fruit[0], fruit[1], days, *growth)

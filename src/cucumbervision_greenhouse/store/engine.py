@@ -5,7 +5,9 @@ A new database gets its tables when it is opened; one of another version is refu
 
 from __future__ import annotations
 
+import json
 import os
+import re
 import sqlite3
 import time
 from contextlib import AbstractContextManager, contextmanager
@@ -15,7 +17,13 @@ from typing import TYPE_CHECKING, Any
 
 from sqlalchemy import Column, Connection, Engine, create_engine, event, inspect, text
 from sqlalchemy.engine import URL, make_url
-from sqlalchemy.exc import ArgumentError, DBAPIError, OperationalError, SQLAlchemyError
+from sqlalchemy.exc import (
+    ArgumentError,
+    DBAPIError,
+    OperationalError,
+    SQLAlchemyError,
+    StatementError,
+)
 
 from cucumbervision.errors import (
     DiskFullError,
@@ -39,6 +47,7 @@ DEVICE = "cucumbervision_device"
 """Name of the connection option with the device that the person writes from."""
 
 _WRITES = "cucumbervision_writes"
+_NULL = re.compile(r"(?<!\\)((?:\\\\)*)\\u0000")
 _MAKE_ROOM = "make room on the disk"
 _COMES_BACK = "the server starts again after a fault; try again in a minute"
 _HINTS = (
@@ -108,6 +117,31 @@ def named(url: URL) -> str:
     return url.render_as_string(hide_password=True)
 
 
+def stored_json(value: Any) -> str:
+    r"""Return a value as JSON, with a question mark for what no database takes.
+
+    That is a null, and half of a surrogate pair, as which Python reads the bytes of a file's name
+    that are no text.
+
+    Raises
+    ------
+    StoreError
+        If it holds a number that is not finite, or a value that JSON has not.
+
+    Examples
+    --------
+    >>> stored_json({"path_m": ((0.1, 0.2),), "source": "a\0\ud800"})
+    '{"path_m": [[0.1, 0.2]], "source": "a??"}'
+    """
+    try:
+        content = json.dumps(value, default=vars, allow_nan=False, ensure_ascii=False)
+    except (ValueError, TypeError) as error:
+        raise StoreError(
+            f"the record cannot be stored ({error})", remedy="give finite numbers and plain values"
+        ) from None
+    return _NULL.sub(r"\1?", content.encode(errors="replace").decode())
+
+
 def make_engine(url: URL) -> Engine:
     """Make the engine.
 
@@ -129,7 +163,10 @@ def make_engine(url: URL) -> Engine:
     if url.get_backend_name() != "sqlite":
         try:
             # A server whose databases have no encoding would give bytes for texts.
-            return create_engine(url, pool_pre_ping=True, connect_args={"client_encoding": "utf8"})
+            encoding = {"client_encoding": "utf8"}
+            return create_engine(
+                url, pool_pre_ping=True, connect_args=encoding, json_serializer=stored_json
+            )
         except ModuleNotFoundError:
             raise MissingExtraError("psycopg", "postgres") from None
     path = Path(url.database or "").absolute()
@@ -141,7 +178,8 @@ def make_engine(url: URL) -> Engine:
         return engine
     with wrap_os_errors("cannot be made", path.parent, "name another folder", StoreError):
         path.parent.mkdir(parents=True, exist_ok=True)
-    engine = create_engine(url, connect_args={"timeout": BUSY_TIMEOUT_S})
+    timeout = {"timeout": BUSY_TIMEOUT_S}
+    engine = create_engine(url, connect_args=timeout, json_serializer=stored_json)
     event.listen(engine, "connect", _prepare_sqlite)
     event.listen(engine, "begin", _begin_sqlite)
     return engine
@@ -191,13 +229,10 @@ def _begin_sqlite(connection: Connection) -> None:
 
 
 @contextmanager
-def begin(
-    engine: Engine, *, write: bool = False, foreign_keys: bool = True
-) -> Iterator[Connection]:
+def begin(engine: Engine, *, write: bool = False) -> Iterator[Connection]:
     """Open one transaction: committed at the end, rolled back by any error.
 
-    A read-only transaction sees the database as it was at its start. Without `foreign_keys` SQLite
-    does not check them, as it must not where tables are made anew.
+    A read-only transaction sees the database as it was at its start.
 
     Raises
     ------
@@ -209,16 +244,8 @@ def begin(
         if not write and connection.dialect.name == "postgresql":
             options["isolation_level"] = "REPEATABLE READ"
         connection = connection.execution_options(**options)
-        sqlite_checks = connection.dialect.name == "sqlite" and not foreign_keys
-        raw = connection.connection.dbapi_connection if sqlite_checks else None
-        if raw is not None:
-            raw.cursor().execute("PRAGMA foreign_keys = OFF")
-        try:
-            with connection.begin():
-                yield connection
-        finally:
-            if raw is not None:
-                raw.cursor().execute("PRAGMA foreign_keys = ON")
+        with connection.begin():
+            yield connection
 
 
 @contextmanager
@@ -243,6 +270,8 @@ def _store_errors(url: URL) -> Iterator[None]:
             "a number is too large for the database", source=named(url), remedy="give a smaller one"
         ) from error
     except SQLAlchemyError as error:
+        if isinstance(error, StatementError) and isinstance(error.orig, StoreError):
+            raise error.orig from None
         cause = error.orig if isinstance(error, DBAPIError) and error.orig else error
         fault = str(cause).strip().splitlines()[0] if str(cause).strip() else type(cause).__name__
         remedy = next((hint for sign, hint in _HINTS if sign in fault), "see the fault's own words")
@@ -334,7 +363,7 @@ def prepare(engine: Engine) -> None:
     with begin(engine) as connection:
         if stored_version(connection) == VERSION and not _missing_columns(connection):
             return
-    with begin(engine, write=True, foreign_keys=False) as connection:
+    with begin(engine, write=True) as connection:
         if connection.dialect.name == "postgresql":
             connection.execute(text("SELECT pg_advisory_xact_lock(:n)"), {"n": _POSTGRES_LOCK})
         version = stored_version(connection)
@@ -351,22 +380,20 @@ def prepare(engine: Engine) -> None:
 
 
 def _migrate(connection: Connection, version: str, source: str) -> None:
-    """Bring the tables of an earlier version to this one, step by step."""
+    """Bring the tables of an earlier version to this one."""
     from alembic.migration import MigrationContext
     from alembic.operations import Operations
 
-    from cucumbervision_greenhouse.store.migrations import FIRST, STEPS
+    from cucumbervision_greenhouse.store.migrations import STEPS
 
-    steps = STEPS[int(version) - FIRST :] if version.isdecimal() and int(version) >= FIRST else ()
-    if not steps:
+    if version not in STEPS:
         raise StoreVersionError(
-            f"has schema {version}, and this software reads schema {FIRST} to {VERSION}",
+            f"has schema {version}, and this software reads schema {min(STEPS)} to {VERSION}",
             source=source,
             remedy="use the version of cucumbervision that wrote it; nothing was changed",
         )
     with Operations.context(MigrationContext.configure(connection)):
-        for step in steps:
-            step()
+        STEPS[version]()
     connection.execute(text(f"UPDATE {VERSION_TABLE} SET version = :v"), {"v": VERSION})
 
 

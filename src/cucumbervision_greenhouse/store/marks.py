@@ -16,7 +16,7 @@ from cucumbervision.errors import StoreConflictError, StoreError
 from cucumbervision.names import checked_name, house_key, same_house
 from cucumbervision_greenhouse.store.engine import DEVICE, SIGNED_BY, Database
 from cucumbervision_greenhouse.store.links import LinkKind, LinkRecord
-from cucumbervision_greenhouse.store.records import Verdict, record_json
+from cucumbervision_greenhouse.store.records import Verdict
 from cucumbervision_greenhouse.store.schema import CAPTURES, FRUIT, LINKS, MARKS, ROUNDS, STOPS
 
 if TYPE_CHECKING:
@@ -81,7 +81,7 @@ class Marks(Database):
 
     def correct(self, key: str, row: FruitRow) -> int:
         """Replace a fruit's row by one with a corrected outline; the first one is kept."""
-        return self._mark("correct", [key], {"row": record_json({**row.cells, **row.shape})})
+        return self._mark("correct", [key], {"row": {**row.cells, **row.shape}})
 
     def _mark(self, kind: str, keys: Sequence[str], details: dict[str, Any] | None = None) -> int:
         with self.writing() as connection:

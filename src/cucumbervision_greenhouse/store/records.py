@@ -11,7 +11,6 @@ from enum import StrEnum
 from types import SimpleNamespace
 from typing import Any, TypeAlias
 
-from cucumbervision.errors import StoreError
 from cucumbervision.methods.flags import is_length_unknown, is_lower_bound
 from cucumbervision.methods.result import Length
 from cucumbervision.run.fields import STORED_FIELDS, stored_length
@@ -448,24 +447,3 @@ class DetectionDetail:
     capture: CaptureRecord
     stop: StopRecord
     log: tuple[LogEntry, ...]
-
-
-def record_json(record: Any) -> Any:
-    """Return values of a record as JSON values.
-
-    Raises
-    ------
-    StoreError
-        If it holds a number that is not finite, or a value that JSON has not.
-
-    Examples
-    --------
-    >>> record_json({"path_m": ((0.1, 0.2),)})
-    {'path_m': [[0.1, 0.2]]}
-    """
-    try:
-        return json.loads(json.dumps(record, default=vars, allow_nan=False))
-    except (ValueError, TypeError) as error:
-        raise StoreError(
-            f"the record cannot be stored ({error})", remedy="give finite numbers and plain values"
-        ) from None

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import fields, replace
 from math import hypot
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from sqlalchemy import and_, func, insert, select, update
 from sqlalchemy.dialects import postgresql, sqlite
@@ -41,7 +41,6 @@ from cucumbervision_greenhouse.store.records import (
     StopRecord,
     Verdict,
     key_of,
-    record_json,
 )
 from cucumbervision_greenhouse.store.schema import (
     CAPTURES,
@@ -59,8 +58,6 @@ if TYPE_CHECKING:
     from sqlalchemy import ColumnElement, Connection, Table
 
     from cucumbervision_greenhouse.store.links import LinkRecord
-
-ValueT = TypeVar("ValueT")
 
 _ROUND_CELLS = ("key", "name", "house", "started_s", "profile", "note")
 _STOP_CELLS = (
@@ -183,19 +180,19 @@ class Store(Marks):
         StoreError
             If its round is not there, or it holds what no database takes.
         """
-        stop = _checked_stop(stop)
+        check_place(stop)
+        for capture in stop.captures:
+            checked_name(capture.name, "capture's name", longest=None)
         with self.writing() as connection:
             round_id = round_id_of(connection, stop.round_key, remedy="save the round first")
             cells = {name: getattr(stop, name) for name in _STOP_CELLS}
-            for name in ("pose", "failures", "artifacts"):
-                cells[name] = record_json(cells[name])
             stop_id = _insert_new(connection, STOPS, {**cells, "round_id": round_id})
             if stop_id is None:
                 return Saved.ALREADY_THERE
             for number, capture in enumerate(stop.captures):
                 cells = {name: getattr(capture, name) for name in _CAPTURE_CELLS}
                 cells |= {"stop_id": stop_id, "number": number}
-                cells["record"] = record_json({n: getattr(capture, n) for n in _CAPTURE_RECORD})
+                cells["record"] = {n: getattr(capture, n) for n in _CAPTURE_RECORD}
                 line = insert(CAPTURES).values(**cells).returning(CAPTURES.c.id)
                 capture_id = connection.execute(line).scalar_one()
                 # The same keys on every machine: of the stop's, the capture's place, the number.
@@ -428,12 +425,11 @@ def _add_fruit(
     ]
     add = insert(FRUIT).returning(FRUIT.c.id, sort_by_parameter_order=True)
     ids = connection.execute(add, lines).scalars().all()
-    shapes = [record_json(row.shape) for row in rows]
-    lines = [
+    shapes = [
         {"fruit_id": fruit_id, "mask": shape.pop("mask"), "record": shape}
-        for fruit_id, shape in zip(ids, shapes, strict=True)
+        for fruit_id, shape in zip(ids, (row.shape for row in rows), strict=True)
     ]
-    connection.execute(insert(SHAPES), lines)
+    connection.execute(insert(SHAPES), shapes)
 
 
 def _add_links(
@@ -449,45 +445,6 @@ def _add_links(
         for link in links
     ]
     connection.execute(insert(LINKS), lines)
-
-
-def _checked_stop(stop: StopRecord) -> StopRecord:
-    """Return a stop after checking its names.
-
-    Texts that are no names, such as the files that captures are from, are made readable.
-    """
-    check_place(stop)
-    for capture in stop.captures:
-        checked_name(capture.name, "capture's name", longest=None)
-    return replace(
-        stop,
-        captures=tuple(
-            replace(
-                capture, source=_storable(capture.source), provenance=_storable(capture.provenance)
-            )
-            for capture in stop.captures
-        ),
-        artifacts=tuple(
-            replace(artifact, name=_storable(artifact.name), details=_storable(artifact.details))
-            for artifact in stop.artifacts
-        ),
-        failures=_storable(stop.failures),
-    )
-
-
-def _storable(value: ValueT) -> ValueT:
-    """Return JSON values with a question mark for what no database takes.
-
-    That is a null, and half of a surrogate pair, as which Python reads the bytes of a file's name
-    that are no text.
-    """
-    if isinstance(value, str):
-        return type(value)(value.encode(errors="replace").decode().replace("\0", "?"))
-    if isinstance(value, Mapping):
-        return {_storable(name): _storable(part) for name, part in value.items()}  # type: ignore[return-value]
-    if isinstance(value, list | tuple):
-        return type(value)(_storable(part) for part in value)
-    return value
 
 
 def _stops_of(

@@ -20,7 +20,7 @@ def linked(seed: int, along: float, up: float) -> tuple[DayLinks, float, float, 
     second = walk(grow_plants(first.plants, 1.0, shift, rng), ROW, rng)
     rows = (first, second)
     merged = [merge_row(row.stops, row.views) for row in rows]
-    fruit = [row_fruit(m, row.views) for m, row in zip(merged, rows, strict=True)]
+    fruit = [row_fruit(m.cluster, m.stops, row.views) for m, row in zip(merged, rows, strict=True)]
     links = link_days(fruit[0], fruit[1], 1.0)
     names = [row.of_fruit[f.best] for row, f in zip(rows, fruit, strict=True)]
     right = names[0][links.pairs[:, 0]] == names[1][links.pairs[:, 1]]

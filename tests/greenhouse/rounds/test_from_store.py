@@ -184,8 +184,7 @@ def test_a_merged_row_comes_back_as_it_was_saved(store: Store) -> None:
     place = {key_of(MORNING.key, 2): (0.97, 0.005)}
     store.save_merging(MORNING.key, [LinkRecord(LinkKind.SAME, second, third, 0.9)], place)
     content = read_round(store, MORNING.key)
-    merged = stored_merging(content, content.rows[0])
-    assert merged.cluster[1] == merged.cluster[2] != merged.cluster[0]
-    assert [sorted(pair) for pair in merged.pairs.tolist()] == [[1, 2]]
-    np.testing.assert_allclose(merged.stops.at_m[:, 0], [0.5, 0.97])
+    cluster, stops = stored_merging(content, content.rows[0])
+    assert cluster[1] == cluster[2] != cluster[0]
+    np.testing.assert_allclose(stops.at_m[:, 0], [0.5, 0.97])
     assert first in row.fruit_keys

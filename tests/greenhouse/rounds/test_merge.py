@@ -116,11 +116,11 @@ def test_two_halves_join_but_never_two_views_of_one_capture() -> None:
 def test_best_view_shows_the_whole_fruit() -> None:
     walk = simulate_row(replace(GIVEN, fruit=60, hidden=0.5), 2)
     merged = merge_row(walk.stops, walk.views)
-    best = best_views(merged, walk.views)
+    best = best_views(merged.cluster, walk.views)
     whole = np.zeros(len(best), bool)
     np.logical_or.at(whole, merged.cluster, ~walk.views.partial)
     assert (walk.views.partial[best] == ~whole).all()
-    fruit = row_fruit(merged, walk.views)
+    fruit = row_fruit(merged.cluster, merged.stops, walk.views)
     assert (np.diff(fruit.place_m[:, 0]) > -0.2).all()
 
 

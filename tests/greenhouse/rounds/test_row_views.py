@@ -3,9 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cucumbervision_greenhouse.rounds.merge import NO_PAIRS, Merged
 from cucumbervision_greenhouse.rounds.row_views import RowStops, RowViews, row_fruit
-from cucumbervision_greenhouse.rounds.stop_alignment import prior_stops
 
 
 def test_a_fruit_is_as_long_as_its_whole_views_say_together() -> None:
@@ -19,7 +17,7 @@ def test_a_fruit_is_as_long_as_its_whole_views_say_together() -> None:
     views = RowViews(
         at, at, offset_m, offset_m, length_m, length_sd, ones, ones, partial, ones, ones
     )
-    found = row_fruit(Merged(cluster, prior_stops(stops), NO_PAIRS, np.zeros(0)), views)
+    found = row_fruit(cluster, stops, views)
     assert found.partial.tolist() == [False, True, False]
     assert found.length_m == pytest.approx([(0.30 * 0.31) ** 0.5, 0.18, np.nan], nan_ok=True)
     # Half of the variance is shared by all views: 0.05^2 (1/2 + 1/4).

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from cucumbervision.errors import StoreError
-from cucumbervision_greenhouse.store.records import key_of, new_key, record_json
+from cucumbervision_greenhouse.store.engine import stored_json
+from cucumbervision_greenhouse.store.records import key_of, new_key
 
 
 def test_new_keys_differ_and_made_keys_do_not() -> None:
@@ -21,4 +22,4 @@ def test_new_keys_differ_and_made_keys_do_not() -> None:
 @pytest.mark.parametrize("value", [math.nan, math.inf, np.float32(0.2)])
 def test_only_finite_plain_numbers_are_stored(value: float) -> None:
     with pytest.raises(StoreError, match="cannot be stored"):
-        record_json({"length_m": value})
+        stored_json({"length_m": value})

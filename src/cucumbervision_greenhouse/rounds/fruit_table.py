@@ -98,11 +98,11 @@ def fruit_table(content: RoundContent) -> tuple[FruitRow, ...]:
     )
 
 
-def _pooled_length(view: FruitRow, pooled: tuple[float, float, int] | None) -> dict[str, Any]:
-    """Return the length of all views of a fruit, where two or more show it whole."""
-    if pooled is None or pooled[2] < 2 or view.length is None:
+def _pooled_length(view: FruitRow, pooled: tuple[float, float] | None) -> dict[str, Any]:
+    """Return the length of all views of a fruit."""
+    if pooled is None or view.length is None:
         return {}
-    length_m, sd_m, _ = pooled
+    length_m, sd_m = pooled
     length = replace(view.length, value_m=length_m)
     if length.low_m is not None:
         spread = math.exp(INTERVAL_Z * sd_m / length_m)
@@ -110,31 +110,25 @@ def _pooled_length(view: FruitRow, pooled: tuple[float, float, int] | None) -> d
     return {"length": length}
 
 
-def _pooled(content: RoundContent) -> dict[str, tuple[float, float, int]]:
-    """Return the pooled length of each fruit by all keys of its views, and how many gave it.
+def _pooled(content: RoundContent) -> dict[str, tuple[float, float]]:
+    """Return the pooled lengths of fruit by all keys of their views.
 
-    Whole views with different kinds of length count as one view, the best.
+    Only of those that two or more views show whole, with lengths of one kind.
     """
-    length_of_key = {}
+    lengths: dict[str, tuple[float, float]] = {}
     kind = {view.key: view.length and view.length.kind for view in content.views}
     for row in content.rows:
-        if not len(row.views):
-            continue
-        cluster, _ = stored_merging(content, row)
-        views = row.views
+        (cluster, _), views = stored_merging(content, row), row.views
         order = np.argsort(cluster, kind="stable")
         for members in np.split(order, np.flatnonzero(np.diff(cluster[order])) + 1):
+            measured = members[np.isfinite(views.length_m[members]) & ~views.partial[members]]
+            kinds = {kind[row.fruit_keys[k]] for k in measured.tolist()}
             length = pooled_length(
                 views.length_m[members], views.length_sd[members], views.partial[members]
             )
-            if length is None:
-                continue
-            measured = members[np.isfinite(views.length_m[members]) & ~views.partial[members]]
-            kinds = {kind[row.fruit_keys[k]] for k in measured.tolist()}
-            count = len(measured) if len(kinds) == 1 else 1
-            keys = (row.fruit_keys[k] for k in members.tolist())
-            length_of_key.update(dict.fromkeys(keys, (*length, count)))
-    return length_of_key
+            if length is not None and len(measured) > 1 and len(kinds) == 1:
+                lengths |= dict.fromkeys((row.fruit_keys[k] for k in members.tolist()), length)
+    return lengths
 
 
 def least_sure_first(fruit: Sequence[FruitRow]) -> list[FruitRow]:

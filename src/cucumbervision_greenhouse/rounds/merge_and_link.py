@@ -186,18 +186,15 @@ def link_rounds(
     RoundError
         If one of them is not there, they are of two houses, or the later does not come later.
     """
-    rounds = {walk.key: walk for walk in store.rounds()}
-    if gone := {earlier, later} - rounds.keys():
-        raise RoundError("there is no round {key}", remedy="see the list of rounds", key=min(gone))
-    houses = [rounds[key].house for key in (earlier, later)]
-    if house_key(houses[0]) != house_key(houses[1]):
+    first, second = (_round_of(store.rounds(), key) for key in (earlier, later))
+    if house_key(first.house) != house_key(second.house):
         raise RoundError(
             "the rounds are of two houses, '{first}' and '{second}'",
             remedy="name two rounds of one house, or move one of them",
-            first=houses[0],
-            second=houses[1],
+            first=first.house,
+            second=second.house,
         )
-    days = (rounds[later].walked_s - rounds[earlier].walked_s) / DAY_S
+    days = (second.walked_s - first.walked_s) / DAY_S
     if not days > 0:
         raise RoundError(
             "the later round was walked no later, by the times of its captures",
@@ -205,16 +202,14 @@ def link_rounds(
         )
     growth: tuple[float, ...] = ()
     if profile is not None:
-        growth_prior = profile.growth
-        growth = (
-            growth_prior.mean / 100,
-            math.hypot(growth_prior.house_sd, growth_prior.row_sd, growth_prior.fruit_sd) / 100,
-        )
+        prior = profile.growth
+        sd_m = math.hypot(prior.house_sd, prior.row_sd, prior.fruit_sd) / 100
+        growth = prior.mean / 100, sd_m
     contents = read_round(store, earlier), read_round(store, later)
-    first = {row.name: row for row in contents[0].rows if len(row.views)}
+    rows_before = {row.name: row for row in contents[0].rows if len(row.views)}
     links, row_links = [], []
     for row in contents[1].rows:
-        before = first.get(row.name)
+        before = rows_before.get(row.name)
         if before is None or not len(row.views):
             continue
         fruit = [
@@ -258,13 +253,14 @@ def settle(store: Store, round_key: str, profile: CropProfile | None = None) -> 
     """
     try:
         merge_round(store, round_key)
-        before, after = earlier_round(store, round_key), later_rounds(store, round_key)
-        for earlier in () if before is None else (before,):
+        before = earlier_rounds(store, round_key, within_s=_FARTHEST_S)[:1]
+        after = later_rounds(store, round_key)[:1]
+        for earlier in before:
             link_rounds(store, earlier.key, round_key, profile)
-        for later in after[:1]:
+        for later in after:
             link_rounds(store, round_key, later.key, profile)
-            if before is not None:  # they were neighbours before this round was added
-                store.save_growth(before.key, later.key, ())
+            for earlier in before:  # they were neighbours before this round was added
+                store.save_growth(earlier.key, later.key, ())
     except (RoundError, StoreError) as error:  # a round or fruit may have been deleted meanwhile
         return str(error)
     return ""
@@ -364,17 +360,10 @@ def _to_settle(keys: Sequence[str], before: list[Round], after: list[Round]) -> 
     return list(dict.fromkeys([*keys, *following]))
 
 
-def earlier_round(store: Store, round_key: str) -> Round | None:
-    """Return the last round of the same house of an earlier day; None where there is none.
-
-    Days are those of the captures (`Round.walked_s`), whenever a round was begun.
-    """
-    before = earlier_rounds(store, round_key, within_s=_FARTHEST_S)
-    return before[0] if before else None
-
-
 def earlier_rounds(store: Store, round_key: str, within_s: float = math.inf) -> list[Round]:
     """Return the rounds of the same house of earlier days, the nearest first.
+
+    Days are those of the captures (`Round.walked_s`), whenever a round was begun.
 
     Parameters
     ----------
@@ -385,8 +374,7 @@ def earlier_rounds(store: Store, round_key: str, within_s: float = math.inf) -> 
     within_s : float
         Longest time before that round, seconds.
     """
-    current, same_house = _neighbours(store.rounds(), round_key)
-    return [x for x in same_house if _SAME_DAY_S < current.walked_s - x.walked_s < within_s]
+    return [x for days_s, x in _neighbours(store.rounds(), round_key) if 0 < -days_s < within_s]
 
 
 def later_rounds(store: Store, round_key: str) -> list[Round]:
@@ -395,24 +383,29 @@ def later_rounds(store: Store, round_key: str) -> list[Round]:
 
 
 def _later(rounds: list[Round], round_key: str) -> list[Round]:
-    current, same_house = _neighbours(rounds, round_key)
-    return [
-        x for x in same_house[::-1] if _SAME_DAY_S < x.walked_s - current.walked_s < _FARTHEST_S
-    ]
+    return [x for days_s, x in _neighbours(rounds, round_key) if 0 < days_s < _FARTHEST_S]
 
 
-def _neighbours(rounds: list[Round], round_key: str) -> tuple[Round, list[Round]]:
-    """Return a round, and the others of its house that hold fruit, the one walked last first.
+def _round_of(rounds: list[Round], key: str) -> Round:
+    for round_summary in rounds:
+        if round_summary.key == key:
+            return round_summary
+    raise RoundError("there is no round {key}", remedy="see the list of rounds", key=key)
 
-    The demonstration is in no house, so that it is never a day of one without a name.
+
+def _neighbours(rounds: list[Round], round_key: str) -> list[tuple[float, Round]]:
+    """Return the other rounds of a house that hold fruit, each with how much later it was walked.
+
+    Those of the same day are left out; the nearest is first. The demonstration is in no house, so
+    that it is never a day of one without a name.
     """
-    rounds = sorted(rounds, key=lambda x: -x.walked_s)
-    current = next((x for x in rounds if x.key == round_key), None)
-    if current is None:
-        raise RoundError("there is no round {key}", remedy="see the list of rounds", key=round_key)
-    house = house_key(current.house)
-    example = is_demonstration(round_key)
-    different = (
-        x for x in rounds if x.key != round_key and x.fruit and is_demonstration(x.key) == example
+    current = _round_of(rounds, round_key)
+    house = house_key(current.house), is_demonstration(round_key)
+    others = [
+        (x.walked_s - current.walked_s, x)
+        for x in rounds
+        if x.fruit and (house_key(x.house), is_demonstration(x.key)) == house
+    ]
+    return sorted(
+        (part for part in others if abs(part[0]) > _SAME_DAY_S), key=lambda part: abs(part[0])
     )
-    return current, [x for x in different if house_key(x.house) == house]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import os
 import time
@@ -14,7 +13,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from cucumbervision.errors import StoredImageError, StoreError, wrap_os_errors
-from cucumbervision.files import sync_folder
+from cucumbervision.files import replacing, sync_folder
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -24,7 +23,7 @@ if TYPE_CHECKING:
 DEPTH_UNIT_M = 0.0001  # 16 bits reach 6.5 m, beyond every valid reading; rounds by 0.05 mm
 THUMBNAIL_PX = 320
 _THUMBNAIL_QUALITY = 80
-_UNLOCKED_MAX_AGE_S = 5.0  # a file that is younger may not be locked yet
+_ABANDONED_S = 3600.0  # age of a partial file that nobody writes any more
 
 
 class ImageStore:
@@ -148,11 +147,10 @@ class ImageStore:
         yield from self.folder.glob("??/??/*")
 
     def clean(self) -> None:
-        """Remove partial files of killed runs; files that are being written stay."""
+        """Remove partial files of killed programs; new ones may be being written."""
         for path in self._half_written.glob("*"):
-            with suppress(OSError), path.open("rb") as stream:
-                if time.time() - path.stat().st_mtime > _UNLOCKED_MAX_AGE_S:
-                    fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            with suppress(OSError):
+                if time.time() - path.stat().st_mtime > _ABANDONED_S:
                     path.unlink()
 
     @property
@@ -190,20 +188,10 @@ class ImageStore:
         new_folders = [folder for folder in path.parents[:3] if not folder.exists()]
         path.parent.mkdir(parents=True, exist_ok=True)
         self._half_written.mkdir(exist_ok=True)
-        temporary = self._half_written / uuid.uuid4().hex
-        try:
-            with temporary.open("xb") as stream:
-                fcntl.flock(stream, fcntl.LOCK_EX)  # until it has its name; a kill ends it
-                stream.write(data)
-                stream.flush()
-                os.fsync(stream.fileno())
-                temporary.replace(path)
-        except BaseException:
-            with suppress(OSError):
-                temporary.unlink(missing_ok=True)
-            raise
-        for folder in (path.parent, *(new.parent for new in new_folders)):
-            sync_folder(folder)
+        with replacing(path, self._half_written) as part:
+            part.write_bytes(data)
+        for new in new_folders:
+            sync_folder(new.parent)
 
 
 def _decoded(image: Any) -> NDArray[Any]:

@@ -15,7 +15,7 @@ from cucumbervision_greenhouse.rounds.day_comparison import (
 )
 from cucumbervision_greenhouse.rounds.from_store import read_round
 from cucumbervision_greenhouse.rounds.fruit_table import fruit_table
-from cucumbervision_greenhouse.rounds.merge_and_link import DAY_S, earlier_round, earlier_rounds
+from cucumbervision_greenhouse.rounds.merge_and_link import DAY_S, earlier_rounds
 from cucumbervision_greenhouse.rounds.walking import DEMONSTRATION
 from cucumbervision_greenhouse.store.links import LinkKind, LinkRecord
 from cucumbervision_greenhouse.store.records import (
@@ -119,9 +119,7 @@ def test_the_demonstration_is_no_earlier_day_of_a_house_without_a_name(tmp_path:
             taken_s = NOON_S + day * DAY_S
             capture = CaptureRecord("a", fruit=fruit)
             store.save_stop(StopRecord(new_key(), key, taken_s=taken_s, captures=(capture,)))
-        before = earlier_round(store, TUESDAY)
-        assert before is not None
-        assert before.key == MONDAY
+        assert [walk.key for walk in earlier_rounds(store, TUESDAY)] == [MONDAY]
         assert earlier_rounds(store, DEMONSTRATION) == []
 
 

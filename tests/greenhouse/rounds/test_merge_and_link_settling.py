@@ -12,7 +12,7 @@ from cucumbervision.errors import RoundError
 from cucumbervision_greenhouse.rounds.forecasting import growth_links
 from cucumbervision_greenhouse.rounds.merge_and_link import (
     delete_round,
-    earlier_round,
+    earlier_rounds,
     link_rounds,
     move_rounds,
     move_stop,
@@ -175,7 +175,7 @@ def test_days_are_those_of_the_captures_whenever_a_round_was_begun(
         days.append(one.key)
     later, earlier = days
     assert {one.house for one in store.rounds() if one.key in days} == {"7"}
-    assert earlier_round(store, earlier) is None
+    assert earlier_rounds(store, earlier) == []
     assert settle(store, earlier) == settle(store, later) == ""
     pairs = linked(store, earlier, later)
     assert len(pairs) == 12

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cucumbervision_greenhouse.forecast.growth import Link, Spreads, rate_share
-from cucumbervision_greenhouse.forecast.length_draws import FruitState
+from cucumbervision_greenhouse.forecast.growth import FruitState, Spreads, rate_share
 
 
 @dataclass(frozen=True)
@@ -26,9 +25,9 @@ class HouseSettings:
     visits : tuple of int
         Days of the rounds; the last is 0, today.
     links : int
-        Links that the forecast gets to see, at most; fruit are chosen at random.
-    found, false : float
-        Share of fruit that a round finds, and of false positives among the detections.
+        Fruit whose earlier lengths the forecast gets to see, at most; chosen at random.
+    found : float
+        Share of fruit that a round finds.
     relative_sd, floor_sd_m : float
         Measuring error: a share of the length, and a floor.
     scale_sd : float
@@ -50,7 +49,6 @@ class HouseSettings:
     visits: tuple[int, ...] = (-4, -2, 0)
     links: int = 500
     found: float = 0.95
-    false: float = 0.02
     relative_sd: float = 0.02
     floor_sd_m: float = 0.002
     scale_sd: float = 0.0
@@ -69,18 +67,15 @@ class SimulatedHouse:
     ----------
     fruit : tuple of FruitState
         As found today.
-    links : tuple of Link
-        Between rounds.
     lengths_m : ndarray of float64, shape (D, N)
         True lengths of all N fruit today and later.
     row : ndarray of int64, shape (N,)
         Row of each true fruit; its name is the number.
     of_fruit : ndarray of int64, shape (len(fruit),)
-        The true fruit behind each found one, -1 for a false positive.
+        The true fruit behind each found one.
     """
 
     fruit: tuple[FruitState, ...]
-    links: tuple[Link, ...]
     lengths_m: NDArray[np.float64]
     row: NDArray[np.int64]
     of_fruit: NDArray[np.int64]
@@ -94,7 +89,7 @@ def simulate_house(settings: HouseSettings, seed: int) -> SimulatedHouse:
     >>> from cucumbervision_greenhouse.forecast.growth import Spreads
     >>> spreads = Spreads(0.006, 0.002, 0.005, 0.003, 0.003)
     >>> house = simulate_house(HouseSettings(0.03, spreads, links=20), seed=1)
-    >>> house.lengths_m.shape, len(house.links)
+    >>> house.lengths_m.shape, sum(bool(fruit.earlier) for fruit in house.fruit)
     ((8, 1000), 20)
     """
     rng = np.random.default_rng(seed)
@@ -112,9 +107,9 @@ def simulate_house(settings: HouseSettings, seed: int) -> SimulatedHouse:
         lengths[day - 1] = lengths[day] - _increment(s, rate, lengths[day], rng, -1)
     scale = np.exp(s.scale_sd * rng.standard_normal())
     rounds = {day: _measured(s, lengths[day], float(scale), rng) for day in s.visits}
-    fruit, of_fruit = _states(s, rounds[0], row, rng)
+    fruit, of_fruit = _states(s, rounds, row, rng)
     truth = np.stack([lengths[day] for day in range(s.days + 1)])
-    return SimulatedHouse(fruit, _links(s, rounds, row, rng), truth, row, of_fruit)
+    return SimulatedHouse(fruit, truth, row, of_fruit)
 
 
 def _increment(
@@ -147,36 +142,28 @@ def _sd(s: HouseSettings, read: float) -> float:
 
 
 def _states(
-    s: HouseSettings, read: NDArray[np.float64], row: NDArray[np.int64], rng: np.random.Generator
-) -> tuple[tuple[FruitState, ...], NDArray[np.int64]]:
-    seen = np.flatnonzero(~np.isnan(read))
-    false = rng.random(len(seen)) < s.false / (1 - s.false)
-    of_fruit = np.concatenate([seen, np.full(int(false.sum()), -1)])
-    like = np.concatenate([seen, rng.choice(seen, int(false.sum()))])
-    states = tuple(
-        FruitState(
-            str(true) if true >= 0 else f"false {k}",
-            str(row[of]),
-            round(float(rng.uniform(0, 50)), 2),
-            float(read[of]),
-            _sd(s, float(read[of])),
-        )
-        for k, (true, of) in enumerate(zip(of_fruit, like, strict=True))
-    )
-    return states, of_fruit.astype(np.int64)
-
-
-def _links(
     s: HouseSettings,
     rounds: dict[int, NDArray[np.float64]],
     row: NDArray[np.int64],
     rng: np.random.Generator,
-) -> tuple[Link, ...]:
-    found = []
-    for day0, day1 in zip(s.visits[:-1], s.visits[1:], strict=True):
-        before, after = rounds[day0], rounds[day1]
-        for k in np.flatnonzero(~np.isnan(before + after)):
-            a, b = float(before[k]), float(after[k])
-            found.append(Link(str(k), str(row[k]), day0, a, _sd(s, a), day1, b, _sd(s, b)))
-    chosen = rng.permutation(len(found))[: s.links]
-    return tuple(found[k] for k in chosen)
+) -> tuple[tuple[FruitState, ...], NDArray[np.int64]]:
+    read, before = rounds[0], np.array([rounds[day] for day in s.visits[:-1]])
+    seen = np.flatnonzero(~np.isnan(read))
+    linked = np.flatnonzero(~np.isnan(read) & ~np.isnan(before).all(axis=0))
+    known = set(rng.permutation(linked)[: s.links].tolist())
+    states = tuple(
+        FruitState(
+            str(true),
+            str(row[true]),
+            round(float(rng.uniform(0, 50)), 2),
+            float(read[true]),
+            _sd(s, float(read[true])),
+            earlier=tuple(
+                (day, float(length), _sd(s, float(length)))
+                for day, length in zip(s.visits[:-1], before[:, true], strict=True)
+                if true in known and length > 0
+            ),
+        )
+        for true in seen.tolist()
+    )
+    return states, seen.astype(np.int64)

@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Any
 import streamlit as st
 
 from cucumbervision.capture.frames import Capture
-from cucumbervision.crop.grades import UNDECIDED, class_of, grade
+from cucumbervision.crop.grades import grade
 from cucumbervision.run.fields import FIELDS
 from cucumbervision_greenhouse.forecast.forecast import Forecast
+from cucumbervision_greenhouse.forecast.picking import Ready, ready_on
 from cucumbervision_greenhouse.fruit_pictures import as_data_url, crop
 from cucumbervision_greenhouse.language import decimal_words
 from cucumbervision_greenhouse.language import gettext as _
@@ -29,6 +30,8 @@ from cucumbervision_greenhouse.rounds.day_comparison import (
 from cucumbervision_greenhouse.rounds.forecasting import (
     Today,
     forecast_today,
+    grades_today,
+    lengths_today,
     midnight_s,
     read_today,
 )
@@ -36,7 +39,6 @@ from cucumbervision_greenhouse.rounds.from_store import RoundContent, read_round
 from cucumbervision_greenhouse.rounds.fruit_table import (
     fruit_table,
     hanging_lengths_m,
-    on_the_plant,
     round_doubts,
     round_figures,
 )
@@ -118,9 +120,12 @@ def content_of(round_summary: Round) -> RoundContent:
 
 @st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=120, hash_funcs=_HASH_OF_ROUND)
 def graded_round(round_summary: Round) -> GradedRound:
-    """Return a round's fruit and grades; computed again only after a change."""
+    """Return a round's fruit and grades of today; computed again only after a change."""
     return grade_round(
-        content_of(round_summary), fruit_of(round_summary), profile_of(round_summary)[1]
+        content_of(round_summary),
+        fruit_of(round_summary),
+        profile_of(round_summary)[1],
+        today_of(round_summary).forecast,
     )
 
 
@@ -133,8 +138,13 @@ def map_lines_of(round_summary: Round, units: Units, language: str) -> list[dict
 @st.cache_resource(show_spinner=False, max_entries=_DAYS, ttl=3600, hash_funcs=_HASH_OF_ROUND)
 def class_counts_of(round_summary: Round) -> Counter[str]:
     """Return how many fruit of each class a round shows, those that were picked since as well."""
-    graded = graded_round(round_summary)
-    return Counter(graded.grades[view.key].label for view in graded.fruit if not view.doubtful)
+    return class_counts(round_summary, [x for x in fruit_of(round_summary) if not x.doubtful])
+
+
+def class_counts(round_summary: Round, fruit: Iterable[FruitRow]) -> Counter[str]:
+    """Return how many fruit were in each class when a round measured them."""
+    profile = profile_of(round_summary)[1]
+    return Counter(grade(view, profile).label for view in fruit)
 
 
 @st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=600, hash_funcs=_HASH_OF_ROUND)
@@ -198,6 +208,13 @@ def today_of(round_summary: Round) -> Today:
     return read_today(
         store(), round_summary, profile_of(round_summary)[1], time.time(), content_of(round_summary)
     )
+
+
+def ready_today(round_summary: Round) -> Ready | None:
+    """Return the fruit of a round that are ready today; None where it is too old."""
+    forecast = today_of(round_summary).forecast
+    picked = {view.key for view in fruit_of(round_summary) if view.picked_s is not None}
+    return None if forecast is None else ready_on(forecast, picked=picked)
 
 
 @st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=120, hash_funcs=_HASH_OF_ROUND)
@@ -266,7 +283,9 @@ class GradedRound:
     deleted : tuple of FruitRow
         Deleted fruit, which no figure counts.
     grades : dict of str to Grade
-        By fruit key, of both, in the order of the walk.
+        By fruit key, of both, in the order of the walk: those of today.
+    today_m : dict of str to float
+        Expected lengths today of the fruit that were measured on an earlier day, metres.
     figures : RoundFigures
         Numbers of fruit and their lengths.
     """
@@ -275,31 +294,24 @@ class GradedRound:
     deleted: tuple[FruitRow, ...]
     grades: Mapping[str, Grade]
     figures: RoundFigures
+    today_m: Mapping[str, float]
 
 
 def grade_round(
-    content: RoundContent, table: Sequence[FruitRow], profile: CropProfile
+    content: RoundContent,
+    table: Sequence[FruitRow],
+    profile: CropProfile,
+    forecast: Forecast | None = None,
 ) -> GradedRound:
     """Return a round's fruit with their grades; `table` has its lengths."""
     view_of_fruit = {line.key: line for line in table}
     best = [view for view in content.views if view.best]
     fruit = tuple(view_of_fruit[view.key] for view in best if view.key in view_of_fruit)
     deleted = tuple(view for view in best if view.key not in view_of_fruit)
-    grades = {view.key: grade(view_of_fruit.get(view.key, view), profile) for view in best}
-    return GradedRound(fruit, deleted, grades, round_figures(content, table))
-
-
-def undecided_today(graded: GradedRound, prediction: Forecast) -> int:
-    """Return how many fruit on the plant are in no single class today, as every page counts them.
-
-    Those of an unknown length, which no forecast can be made of, are undecided too.
-    """
-    today = {
-        state.fruit_id: class_of(possible)
-        for state, possible in zip(prediction.fruit, prediction.possible, strict=True)
-    }
-    hanging = on_the_plant(graded.fruit)
-    return sum(today.get(x.key, graded.grades[x.key].name) == UNDECIDED for x in hanging)
+    lines = [view_of_fruit.get(view.key, view) for view in best]
+    grades = grades_today(lines, profile, forecast)
+    figures = round_figures(content, table)
+    return GradedRound(fruit, deleted, grades, figures, lengths_today(forecast))
 
 
 def doubtful(views: Iterable[FruitRow]) -> list[FruitRow]:

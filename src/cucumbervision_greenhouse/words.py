@@ -16,6 +16,7 @@ from cucumbervision.methods.result import LengthDefinition
 from cucumbervision_greenhouse.language import (
     counted,
     day_month_words,
+    decimal_words,
     marked,
     moment_words,
     number_words,
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
     from cucumbervision.crop.grades import Grade
     from cucumbervision_greenhouse.forecast.forecast import Forecast
     from cucumbervision_greenhouse.forecast.growth import Growth
-    from cucumbervision_greenhouse.forecast.picking import Pick, Span
+    from cucumbervision_greenhouse.forecast.picking import Pick, Ready, Span
     from cucumbervision_greenhouse.settings import Units
     from cucumbervision_greenhouse.store.records import FruitRow, LogEntry, Round, StopRecord
 
@@ -236,7 +237,7 @@ def pick_words(pick: Pick) -> str:
 
     Examples
     --------
-    >>> from cucumbervision_greenhouse.forecast.length_draws import FruitState
+    >>> from cucumbervision_greenhouse.forecast.growth import FruitState
     >>> from cucumbervision_greenhouse.forecast.picking import Pick, PickKind
     >>> fruit = FruitState("a", "1", 0.5, 0.25, 0.01)
     >>> pick_words(Pick(fruit, "I", 0.99))
@@ -326,6 +327,7 @@ _REASONS = (
     marked("no chord length"),
     marked("only part of it is seen"),
     marked("the length is uncertain"),
+    marked("by the growth expected since the round"),
 )
 
 
@@ -356,6 +358,26 @@ def length_words(record: FruitRow, units: Units) -> str:
         return _("not measured")
     length = units.text(record.length_m)
     return _("at least {length}").format(length=length) if record.at_least else length
+
+
+def today_words(view: FruitRow, length_m: float | None, units: Units) -> str:
+    """Return a length as measured, and where growth is expected since then both.
+
+    Examples
+    --------
+    >>> from cucumbervision_greenhouse.settings import Units
+    >>> from cucumbervision.methods.result import Length
+    >>> from cucumbervision_greenhouse.store.records import FruitRow
+    >>> fruit = FruitRow(1, length=Length(0.155), taken_s=1_700_000_000.0)
+    >>> today_words(fruit, None, Units("cm")), today_words(fruit, 0.215, Units("cm"))
+    ('15.5 cm', 'today about 21.5 cm (15.5 cm on Tue 14 Nov)')
+    """
+    measured = length_words(view, units)
+    if length_m is None:
+        return measured
+    return _("today about {today} ({length} on {day})").format(
+        today=units.text(length_m), length=measured, day=day_words(view.taken_s)
+    )
 
 
 def interval_words(record: FruitRow, units: Units, words: str = "") -> str | None:
@@ -469,22 +491,42 @@ def daily_growth_words(growth_m_per_day: float | None, units: Units) -> str:
     return growth if growth_m_per_day is None else _("{growth} a day").format(growth=growth)
 
 
+def count_words(expected: float) -> str:
+    """Return an expected number of fruit, to a tenth of a fruit.
+
+    Examples
+    --------
+    >>> count_words(3.84), count_words(4.0), count_words(120.04)
+    ('3.8', '4', '120')
+    """
+    return decimal_words(f"{round(expected, 1):g}")
+
+
+def ready_words(ready: Ready) -> str:
+    """Return how many fruit are ready today.
+
+    Examples
+    --------
+    >>> from cucumbervision_greenhouse.forecast.picking import Ready
+    >>> ready_words(Ready({"I": 5.6}, 2, 12, 0))
+    'Ready today: 5.6 (sure 2, may be 12)'
+    """
+    words = _("Ready today: {expected} (sure {sure}, may be {may_be})")
+    return words.format(expected=count_words(ready.fruit), sure=ready.sure, may_be=ready.may_be)
+
+
 def span_words(span: Span) -> str:
-    """Return a number of fruit with its interval, both whole.
+    """Return an expected number of fruit with its interval.
 
     Examples
     --------
     >>> from cucumbervision_greenhouse.forecast.picking import Span
-    >>> span_words(Span(3.8, 3.0, 5.0)), span_words(Span(0.2, 0.0, 1.0)), span_words(Span(0, 0, 0))
-    ('4 (3 to 5)', '0 to 1', '–')
+    >>> span_words(Span(3.8, 3.0, 5.0)), span_words(Span(4, 4, 4)), span_words(Span(0, 0, 0))
+    ('3.8 (3 to 5)', '4', '–')
     """
-    if span.high < 0.5:
-        return "–"
-    if span.expected < 0.5:
-        return _("{low} to {high}").format(low=0, high=f"{span.high:.0f}")
-    words = f"{span.expected:.0f}"
-    if span.low == span.high:
-        return words
+    words = count_words(span.expected)
+    if words == "0" or span.low == span.high:
+        return "–" if words == "0" else words
     ends = _("{low} to {high}").format(low=f"{span.low:.0f}", high=f"{span.high:.0f}")
     return f"{words} ({ends})"
 
@@ -495,14 +537,14 @@ def growth_words(growth: Growth, units: Units) -> str:
     Examples
     --------
     >>> from cucumbervision.crop.profiles import load_profile
-    >>> from cucumbervision_greenhouse.forecast.growth import GrowthPrior, Link, fit_growth
+    >>> from cucumbervision_greenhouse.forecast.growth import FruitState, GrowthPrior, fit_growth
     >>> from cucumbervision_greenhouse.settings import Units
     >>> prior = GrowthPrior.of(load_profile("long-cucumber"))
     >>> growth_words(fit_growth([], prior), Units("cm"))
     'Expected growth: 3.0 cm a day (2.0 to 4.0), by the crop profile, as no fruit was seen on two
     days (2 to 4 cm a day: the CucumberVision paper, ...).'
-    >>> links = [Link("a", "1", 0, 0.2, 0.003, 2, 0.28, 0.003)]
-    >>> growth_words(fit_growth(links, prior), Units("in"))
+    >>> fruit = [FruitState("a", "1", 0, 0.28, 0.003, 2, earlier=((0, 0.2, 0.003),))]
+    >>> growth_words(fit_growth(fruit, prior), Units("in"))
     'Expected growth: 1.42 in a day (1.15 to 1.69), by 1 fruit seen on several days and the crop
     profile.'
     """
@@ -514,9 +556,9 @@ def growth_words(growth: Growth, units: Units) -> str:
         "low": number_words(units.value(low) or 0.0, units.digits),
         "high": number_words(units.value(high) or 0.0, units.digits),
     }
-    if count := len({link.fruit_id for link in growth.links}):
+    if growth.fruit:
         return counted(
-            count,
+            growth.fruit,
             "Expected growth: {growth} a day ({low} to {high}), by {n} fruit seen on several days "
             "and the crop profile.",
             "Expected growth: {growth} a day ({low} to {high}), by {n} fruit seen on several days "

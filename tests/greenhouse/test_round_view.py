@@ -29,18 +29,22 @@ from cucumbervision.methods.result import Length, LengthDefinition
 from cucumbervision_greenhouse.exports import ExportFormat
 from cucumbervision_greenhouse.exports.build import RoundTables, round_tables
 from cucumbervision_greenhouse.exports.writers import write_exports
+from cucumbervision_greenhouse.forecast.picking import Ready, ready_on
+from cucumbervision_greenhouse.rounds.forecasting import forecast_today
+from cucumbervision_greenhouse.rounds.from_store import find_round
 from cucumbervision_greenhouse.rounds.merge_and_link import merge_round
 from cucumbervision_greenhouse.store.records import FruitRow, Round, StopRecord, Verdict, key_of
 from cucumbervision_greenhouse.store.repository import Store
+from cucumbervision_greenhouse.words import count_words, ready_words
 
 pytestmark = pytest.mark.usefixtures("fresh_caches")
 
 WALK = key_of("walk")
 KIND = LengthDefinition.CENTRELINE
 DAY = Round(key_of("counts"), "counts", "house 1", time.time() - 600, "long-cucumber")
-HANGS = {"class I": 4, "class II": 2, "too short": 1, "too long": 1, "undecided": 5}
+HANGS = {"class I": 4, "class II": 2, "too short": 1, "too long": 1, "undecided": 6}
 HANGS["not measured"] = 1
-MAY_BE_READY = 3  # of the undecided; others are class II or too short, or of unknown length
+MAY_BE_READY = 5  # four undecided and the one that is not measured; two are II or too short
 
 # By row: lengths in cm with the half width of their interval.
 ROWS: dict[str, list[tuple[float, float]]] = {
@@ -55,7 +59,9 @@ def length_of(value_cm: float, half_cm: float) -> Length:
     return Length(value_cm / 100, KIND, *ends, KIND)
 
 
-def stop_of(store: Store, row: str | None, number: int, fruit: list[FruitRow]) -> StopRecord:
+def stop_of(
+    store: Store, row: str | None, number: int, fruit: list[FruitRow], days_ago: int = 0
+) -> StopRecord:
     """A stop of the bundled captures with other fruit."""
     template = store.stop(store.stops(WALK)[0].key)
     like = template.captures[0].fruit[0]
@@ -82,29 +88,31 @@ def stop_of(store: Store, row: str | None, number: int, fruit: list[FruitRow]) -
         side="left",
         position_m=None if row is None else 2.0 * number,
         step=number + 1,
-        taken_s=DAY.started_s + number,
+        taken_s=DAY.started_s + number - 86400.0 * days_ago,
         captures=(replace(template.captures[0], fruit=shown),),
     )
 
 
-def save_row(store: Store, row: str) -> None:
+def save_row(store: Store, row: str, days_ago: int = 0) -> None:
     for number, (value_cm, half_cm) in enumerate(ROWS[row]):
         fruit = [FruitRow(1, length=length_of(value_cm, half_cm))]
-        store.save_stop(stop_of(store, row, number, fruit))
+        store.save_stop(stop_of(store, row, number, fruit, days_ago))
 
 
 @pytest.fixture
-def day(store: Store) -> str:
+def day(store: Store, request: pytest.FixtureRequest) -> str:
     """The round, with one fruit more of each kind that counts otherwise in row 2."""
-    store.save_round(DAY)
+    days_ago = getattr(request, "param", 0)
+    store.save_round(replace(DAY, started_s=DAY.started_s - 86400.0 * days_ago))
     for row in ROWS:
-        save_row(store, row)
+        save_row(store, row, days_ago)
     part = FruitRow(1, length=length_of(26.0, 3.0), flags="end-hidden")
-    others = [part, FruitRow(1), FruitRow(1, length=length_of(DELETED, 0.5))]
+    without_interval = FruitRow(1, length=Length(0.215, KIND))
+    others = [part, without_interval, FruitRow(1), FruitRow(1, length=length_of(DELETED, 0.5))]
     others.append(FruitRow(1, length=length_of(ADDED, 0.5)))
     others.append(FruitRow(1, length=length_of(26.5, 0.5), flags="depth-unaligned"))
     for number, one in enumerate(others, 10):
-        store.save_stop(stop_of(store, "2", number, [one]))
+        store.save_stop(stop_of(store, "2", number, [one], days_ago))
     merge_round(store, DAY.key)
     by_cm: dict[float, str] = {
         round(100 * (x.length_m or 0), 1): x.key for x in store.detections(DAY.key)
@@ -112,7 +120,7 @@ def day(store: Store) -> str:
     store.set_verdict([by_cm[DELETED]], Verdict.REJECTED)
     store.pick([by_cm[PICKED]])
     # One that somebody added, and that looks like none.
-    stop = store.stop(key_of("counts", "2", 13))
+    stop = store.stop(key_of("counts", "2", 14))
     found = stop.captures[0].fruit[0].with_(fruit=2, flags="doubtful")
     store.add_fruit(stop.key, stop.captures[0].name, found)
     store.set_verdict([by_cm[ADDED]], Verdict.REJECTED)
@@ -143,15 +151,60 @@ def tables_of(store: Store) -> RoundTables:
     return round_tables(store, DAY.key, load_profile("long-cucumber"))
 
 
-def of_today(tables: RoundTables, scope: str) -> Counter[str]:
-    """Fruit by class, of the forecast's first day."""
-    found: Counter[str] = Counter()
-    for line in tables["forecast"].rows:
-        if line["day"] == 0 and line["scope"] == scope:
-            expected = float(str(line["expected"]))
-            assert expected == int(expected)
-            found[str(line["class"])] += int(expected)
-    return found
+def ready_of(store: Store) -> Ready:
+    summary = find_round(store, DAY.key)
+    return ready_on(forecast_today(store, summary, load_profile("long-cucumber"), time.time()))
+
+
+@pytest.mark.parametrize("day", [0, 2], indirect=True)
+def test_what_is_ready_is_one_number_on_all_pages_and_in_all_files(
+    store: Store, day: str, tmp_path: Path
+) -> None:
+    ready = ready_of(store)
+    words, expected = count_words(ready.fruit), pytest.approx(ready.fruit, abs=0.01)
+    counts = str(ready.sure), str(ready.may_be)
+    assert ready.sure < ready.fruit < ready.sure + ready.may_be
+    today = page("today")
+    shown = {metric.label: str(metric.value) for metric in today.metric}
+    assert (shown["Ready today"], shown["Sure"], shown["May be ready"]) == (words, *counts)
+    by_row = tables(today)[0]
+    assert sum(float(x["Ready today"]) for x in by_row) == pytest.approx(ready.fruit, abs=0.15)
+    assert sum(int(x["Sure"]) for x in by_row) == ready.sure
+    grown = [x for shown in lists_of(today, "fruitlist") for x in shown["fruit"]]
+    assert any("today about" in str(x["says"]) for x in grown) == (ready.fruit > 8)
+    for name in ("results", "row_map"):
+        assert ready_words(ready) in said(page(name))
+    first, second = tables(page("forecast"))[0][:2]
+    assert (first["Ready"], first["Sure"], first["May be ready"]) == (words, *counts)
+    assert first["class I"].split(" ")[0] == words
+    assert float(second["too short"].split(" ")[0].replace("–", "0")) <= float(
+        first["too short"].split(" ")[0].replace("–", "0")
+    )
+    work = tables(page("forecast", forecast_tabs="Work and crates"))[-1][0]
+    assert work["Fruit"].split(" ")[0] == words
+
+    files = tables_of(store)
+    summary, work_line = files.summary, files["work"].rows[0]
+    of_fruit = [x for x in files["fruit"].rows if x["picked_utc"] is None and x["ready_today"]]
+    assert sum(float(str(x["ready_today"])) for x in of_fruit) == expected
+    assert (summary["ready_today"], work_line["fruit"], work_line["ready"]) == (expected,) * 3
+    for line in (summary, work_line):
+        assert (line["surely_ready"], line["may_be_ready"]) == (ready.sure, ready.may_be)
+    for scope in ("house", "row"):
+        found = [
+            float(str(x["expected"]))
+            for x in files["forecast"].rows
+            if (x["scope"], x["day"], x["class"]) == (scope, 0, "I")
+        ]
+        assert sum(found) == expected
+    kinds = Counter(str(line["kind"]) for line in files["picks"].rows)
+    assert (kinds["ready"], kinds["may be ready"]) == (ready.sure, ready.may_be)
+    write_exports(files, tmp_path, [ExportFormat.CSV, ExportFormat.XLSX, ExportFormat.HTML])
+    with (tmp_path / "picks.csv").open(encoding="utf-8") as file:
+        assert Counter(line["kind"] for line in csv.DictReader(file)) == kinds
+    html = re.sub(r"\s+", " ", (tmp_path / "round.html").read_text())
+    assert f"<b>{ready.fruit:.1f}</b><span>Ready that day</span>" in html
+    assert f"<b>{ready.may_be}</b><span>May be ready that day</span>" in html
 
 
 def test_every_page_says_the_same_numbers(store: Store, day: str) -> None:
@@ -163,29 +216,20 @@ def test_every_page_says_the_same_numbers(store: Store, day: str) -> None:
     # The doubtful fruit that was added is shown, and counts in no class until someone accepts it.
     assert (shown["Picked"], shown["Deleted"]) == ("1", "2")
     assert shown["Fruit"] == str(hanging + 2)
-    whole = [x for row in ROWS.values() for x, _ in row if x != PICKED]
+    whole = [21.5, *(x for row in ROWS.values() for x, _ in row if x != PICKED)]
     assert shown["Mean length"] == f"{sum(whole) / len(whole):.1f} cm"
 
     today = page("today")
     shown = {metric.label: str(metric.value) for metric in today.metric}
     assert shown == {
-        "Ready today": str(HANGS["class I"]),
-        "class I": str(HANGS["class I"]),
+        "Ready today": count_words(ready_of(store).fruit),
+        "Sure": str(HANGS["class I"]),
         "May be ready": str(MAY_BE_READY),
         "Too long": str(HANGS["too long"]),
     }
-    assert "4 fruit are left in the list below. 3 more may be ready" in said(today)
     by_row = tables(today)[0]
-    assert [line["class I"] for line in by_row] == ["2", "2"]
-    assert [line["May be ready"] for line in by_row] == ["1", "2"]
-
-    forecast = page("forecast")
-    first = tables(forecast)[0][0]
-    for name in ("class I", "class II", "too long"):
-        assert first[name].split(" ")[0] == str(HANGS[name])
-    assert f"Today {HANGS['undecided']} undecided fruit are in no class" in said(forecast)
-    work = tables(page("forecast", forecast_tabs="Work and crates"))[-1][0]
-    assert work["Fruit"] == first["class I"].removesuffix(" or more")
+    assert [line["Sure"] for line in by_row] == ["2", "2"]
+    assert [line["May be ready"] for line in by_row] == ["1", "4"]
 
     words = said(page("row_map"))
     assert "probably" not in f"{words} {said(results)} {said(today)}".lower().replace(
@@ -196,15 +240,12 @@ def test_every_page_says_the_same_numbers(store: Store, day: str) -> None:
 def test_every_file_says_the_same_numbers(store: Store, day: str, tmp_path: Path) -> None:
     tables = tables_of(store)
     summary = tables.summary
-    ready = (summary["ready_today"], summary["may_be_ready"], summary["picked"])
+    ready = (summary["surely_ready"], summary["may_be_ready"], summary["picked"])
     assert ready == (HANGS["class I"], MAY_BE_READY, 1)
     in_rows = sum(int(str(line["fruit"])) for line in tables["rows"].rows)
     assert summary["fruit"] == sum(HANGS.values()) + 2 == in_rows
     classes = {name.removeprefix("class "): count for name, count in HANGS.items()}
-    named = {name: classes[name] for name in ("I", "II", "too short", "too long")}
-    assert of_today(tables, "house") == of_today(tables, "row") == named
-    work = tables["work"].rows[0]
-    assert (work["fruit"], work["crates"]) == (HANGS["class I"], 1)
+    assert tables["work"].rows[0]["crates"] == 1
     counted = [
         str(line["grade"])
         for line in tables["fruit"].rows
@@ -212,8 +253,8 @@ def test_every_file_says_the_same_numbers(store: Store, day: str, tmp_path: Path
     ]
     assert Counter(counted) == classes
     kinds = Counter(str(line["kind"]) for line in tables["picks"].rows)
-    assert kinds == {"ready": 4, "may be ready": 3, "too long": 1}
-    assert sum(count for *_, count in tables.bins) == 11
+    assert kinds == {"ready": 4, "may be ready": MAY_BE_READY, "too long": 1}
+    assert sum(count for *_, count in tables.bins) == 12
     everything = " ".join(str(x) for table in tables.tables.values() for x in table.rows)
     for word in ("out of grade", "out-of-grade", "borderline", "class unsure"):
         assert word not in everything
@@ -221,10 +262,8 @@ def test_every_file_says_the_same_numbers(store: Store, day: str, tmp_path: Path
     write_exports(tables, tmp_path, [ExportFormat.CSV, ExportFormat.JSON, ExportFormat.HTML])
     with (tmp_path / "picks.csv").open(encoding="utf-8") as file:
         assert Counter(line["kind"] for line in csv.DictReader(file)) == kinds
-    written = json.loads((tmp_path / "round.json").read_text())["tables"]["summary"][0]
-    assert written["ready_today"] == HANGS["class I"]
     html = (tmp_path / "round.html").read_text()
-    assert "ready: 4, may be ready: 3, too long: 1." in re.sub(r"\s+", " ", html)
+    assert f"ready: 4, may be ready: {MAY_BE_READY}, too long: 1." in re.sub(r"\s+", " ", html)
     assert "undecided (only part of it is seen)" in html
     assert "at least 26.0 cm" in html
     assert html.count("≥ 26.0</td>") == 2  # among those that may be ready, and among all
@@ -244,30 +283,7 @@ def test_the_command_says_the_same_words(store: Store, day: str) -> None:
     shown = CliRunner().invoke(command, ["round", "show", "--store", store.name, "--round", day])
     assert shown.exit_code == 0, shown.output
     text = re.sub(r"\s+", " ", shown.output)
-    assert "16 fruit, lengths in cm" in text
+    assert "17 fruit, lengths in cm" in text
     assert text.count("class I ") >= 4
     assert "≥ 26.0" in text
     assert "out of grade" not in text
-
-
-def test_stops_of_another_row_change_nothing_in_a_row(store: Store) -> None:
-    """What is drawn to forecast depends on all fruit; what is ready does not."""
-    store.save_round(DAY)
-    save_row(store, "2")
-    merge_round(store, DAY.key)
-
-    def listed() -> list[tuple[str, str]]:
-        lines = tables_of(store)["picks"].rows
-        return [(str(x["key"]), str(x["kind"])) for x in lines if x["row"] == "2"]
-
-    before = sorted(listed())
-    assert Counter(kind for _, kind in before) == {"ready": 3, "may be ready": 1}
-    save_row(store, "1")
-    merge_round(store, DAY.key)
-    assert sorted(listed()) == before
-
-
-def test_one_fruit_is_one(store: Store) -> None:
-    store.save_round(DAY)
-    store.save_stop(stop_of(store, "1", 0, [FruitRow(1, length=length_of(28.0, 0.5))]))
-    assert "1 fruit is left in the list below." in said(page("today"))

@@ -13,12 +13,17 @@ from typing import TYPE_CHECKING, Any
 
 from cucumbervision._version import __version__
 from cucumbervision.about import LICENCE, source_offer
-from cucumbervision.crop.grades import grade
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.methods.flags import flag_remarks
 from cucumbervision.run.fields import FIELDS, Field, read_fields, utc
-from cucumbervision_greenhouse.forecast.picking import PickKind, pick_list, plan_work
-from cucumbervision_greenhouse.rounds.forecasting import date_after, day_0_s, forecast_today
+from cucumbervision_greenhouse.forecast.picking import Ready, pick_list, plan_work, ready_on
+from cucumbervision_greenhouse.rounds.forecasting import (
+    date_after,
+    day_0_s,
+    forecast_today,
+    grades_today,
+    lengths_today,
+)
 from cucumbervision_greenhouse.rounds.from_store import read_round
 from cucumbervision_greenhouse.rounds.fruit_table import (
     fruit_table,
@@ -31,6 +36,7 @@ from cucumbervision_greenhouse.store.records import FruitRow
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
+    from cucumbervision.crop.grades import Grade
     from cucumbervision.crop.profiles import CropProfile
     from cucumbervision.run.fields import Cell
     from cucumbervision_greenhouse.forecast.forecast import Counts, Forecast
@@ -170,7 +176,7 @@ def _summary(
     forecast: Forecast | None,
     profile: str,
 ) -> Line:
-    listed = Counter(pick.kind for pick in pick_list(forecast)) if forecast else Counter()
+    ready = Ready({}, 0, 0, 0) if forecast is None else ready_on(forecast)
     return {
         "view": view,
         "figures": round_figures(content, table),
@@ -179,8 +185,9 @@ def _summary(
         "stops": len(content.stops),
         "captures": sum(len(stop.captures) for stop in content.stops),
         "failures": sum(len(stop.failures) for stop in content.stops),
-        "ready_today": None if forecast is None else listed[PickKind.READY],
-        "may_be_ready": None if forecast is None else listed[PickKind.UNDECIDED],
+        "ready_today": None if forecast is None else ready.fruit,
+        "surely_ready": None if forecast is None else ready.sure,
+        "may_be_ready": None if forecast is None else ready.may_be,
         "simulated": any(line.simulated for line in table),
     }
 
@@ -192,23 +199,25 @@ def _fruit_lines(
     ready: dict[str, float] = {}
     if forecast is not None:
         ids = (state.fruit_id for state in forecast.fruit)
-        ready = dict(zip(ids, forecast.ready.tolist(), strict=True))
+        ready = dict(zip(ids, forecast.ready().tolist(), strict=True))
+    today_m = lengths_today(forecast)
+    grades = {} if profile is None else grades_today(table, profile, forecast)
     for fruit in table:
         yield {
             **vars(fruit),
             "inner_arc_mm_per_10cm": fruit.inner_arc_mm_per_10cm,
             # A lower bound has no upper end.
             "interval_high_m": None if fruit.at_least else fruit.interval_high_m,
-            **_grade_cells(fruit, profile),
+            **_grade_cells(grades.get(fruit.key)),
+            "length_today_m": today_m.get(fruit.key),
             "ready": ready.get(fruit.key),
             "remarks": _remarks(fruit),
         }
 
 
-def _grade_cells(line: FruitRow, profile: CropProfile | None) -> Line:
-    if profile is None:
+def _grade_cells(graded: Grade | None) -> Line:
+    if graded is None:
         return dict.fromkeys(("grade", "grade_probability", "grade_rule", "mass_kg"))
-    graded = grade(line, profile)
     return {
         "grade": graded,
         "grade_probability": graded.probabilities.get(graded.name),
@@ -246,19 +255,21 @@ def _forecast_lines(forecast: Forecast, today_s: float) -> Iterator[Line]:
 
 
 def _pick_lines(forecast: Forecast, table: Sequence[FruitRow]) -> Iterator[Line]:
-    lines = {line.key: line for line in table}
-    for order, pick in enumerate(pick_list(forecast), 1):
+    lines, today_m = {line.key: line for line in table}, lengths_today(forecast)
+    left = (pick for pick in pick_list(forecast) if not pick.fruit.picked)
+    for order, pick in enumerate(left, 1):
         line = lines[pick.fruit.fruit_id]
         yield {
             **{"order": order, "number": line.number, "pick": pick, "view": line},
-            "simulated": line.simulated,
+            **{"simulated": line.simulated, "length_today_m": today_m.get(line.key)},
         }
 
 
 def _work_lines(forecast: Forecast, today_s: float, rates: Rates | None) -> Iterator[Line]:
     for work in plan_work(forecast, rates):
+        ready = ready_on(forecast, work.day)
         crates = sum(crates.expected for crates in work.crates.values())
-        yield {"work": work, **_dates(today_s, work.day), "crates": crates}
+        yield {"work": work, "ready": ready, **_dates(today_s, work.day), "crates": crates}
 
 
 def _dates(today_s: float, day: int) -> Line:

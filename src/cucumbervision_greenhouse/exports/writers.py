@@ -227,7 +227,15 @@ _DIGITS = {"cm": 1, "mm": 1, "m": 2, "h": 1, "g": 0, "ml": 0, "deg": 0}
 _IN_INCHES = {"cm": ("in", 2.54, 2), "m": ("ft", 0.3048, 2)}
 """Unit that is shown, its size in the column's unit, and its decimals."""
 _NUMBERS = (
-    *("ready_today", "may_be_ready", "fruit", "picked", "mean_length_cm", "sd_length_cm"),
+    *(
+        "ready_today",
+        "surely_ready",
+        "may_be_ready",
+        "fruit",
+        "picked",
+        "mean_length_cm",
+        "sd_length_cm",
+    ),
     *("shortest_cm", "longest_cm", "measured", "rows", "stops", "failures"),
 )
 

@@ -1,4 +1,4 @@
-"""Growth of a house and its fruit along one curve, by weighted means in closed form.
+"""Growth of a house and its fruit along one curve, and draws of their lengths on the coming days.
 
 A fruit grows at its full rate up to half of the length at which growth stops, and then ever more
 slowly. Along the curve, the length that it would have without slowing, its *stage*, grows linearly,
@@ -11,7 +11,7 @@ errors and the day-to-day growth. The posterior mean of the house is that of wha
 of the profile, weighted by inverse variances (Gelman and Hill 2007, chapter 12). The variance
 between fruit is estimated from their scatter by moments (DerSimonian and Laird 1986) and pooled
 with the profile's. The length at which growth stops is one of several, weighted by how well each
-explains the links. Without links everything is the profile's.
+explains the fruit that were measured on several days. Without these everything is the profile's.
 """
 
 from __future__ import annotations
@@ -52,8 +52,10 @@ _LEAST_SHARE = 0.1  # of the full growth, that is left to longer fruit: lengths 
 _CURVES = 6  # lengths at which growth may stop, beside infinity
 _NEAREST = 1.05  # the shortest of them, as a multiple of the longest length that is sold
 # Fruit of a row and a day are alike: so many count at most as evidence for a curve.
-_INDEPENDENT = 100
+_INDEPENDENT = 40
+_SLOWING = 0.75, 0.25  # prior probabilities that growth slows: for ranges, for what is expected
 _LEAST_WEIGHT = 0.02  # of a curve that is drawn from
+_EXACT_M = 1e-6  # standard deviation of a length that is known
 
 
 def rate_share(length_m: ArrayLike, full_m: float) -> NDArray[np.float64]:
@@ -104,31 +106,54 @@ def length_of(stage_m: NDArray[Any], full_m: float) -> NDArray[Any]:
 
 
 @dataclass(frozen=True)
-class Link:
-    """The same fruit measured twice.
+class FruitState:
+    """The last measurement of one fruit, and the earlier ones.
 
     Parameters
     ----------
     fruit_id : str
-        Fruit identifier; its links (day 1 to 2, 2 to 3, or 1 to 3) form one history.
+        Fruit identifier.
     row : str
         Its row.
-    day0, day1 : float
-        Days of the two measurements, the later one second.
-    length0_m, length1_m : float
-        The lengths, metres.
-    sd0_m, sd1_m : float
-        Their standard deviations, metres.
+    position_m : float
+        Along the row, metres.
+    length_m, sd_m : float
+        The length that the profile grades by, and its standard deviation, metres.
+    day : float
+        Day of the measurement.
+    side : str
+        Side of the row.
+    best_class : str
+        The best class that its shape allows, as `Grade.best_class` gives it; empty for any.
+    picked : bool
+        Whether it has been picked: no count includes it.
+    possible : tuple of str
+        The classes that it may be in on its day, as `Grade.possible` gives them; by default those
+        that its 90 % interval spans.
+    at_least : bool
+        Whether only a lower bound was measured, or nothing: `length_m` and `sd_m` are then those of
+        similar fruit.
+    earlier : tuple of (day, length_m, sd_m)
+        Earlier measurements of the same fruit, in order.
     """
 
     fruit_id: str
     row: str
-    day0: float
-    length0_m: float
-    sd0_m: float
-    day1: float
-    length1_m: float
-    sd1_m: float
+    position_m: float
+    length_m: float
+    sd_m: float
+    day: float = 0.0
+    side: str = ""
+    best_class: str = ""
+    picked: bool = False
+    possible: tuple[str, ...] = ()
+    at_least: bool = False
+    earlier: tuple[Point, ...] = ()
+
+    @property
+    def points(self) -> tuple[Point, ...]:
+        """All measurements, the last one included."""
+        return (*self.earlier, (self.day, self.length_m, self.sd_m))
 
 
 @dataclass(frozen=True)
@@ -227,8 +252,9 @@ class Curve:
         Full growth of the house, metres a day, and its standard deviation.
     fruit_sd_m : float
         Standard deviation between fruit.
-    weight : float
-        Probability of this curve.
+    weight, share : float
+        Probability of this curve for the ranges, where growth may well slow; and for what is
+        expected, where it does not until the fruit show it.
     """
 
     full_m: float
@@ -236,35 +262,36 @@ class Curve:
     sd_m: float
     fruit_sd_m: float
     weight: float = 1.0
+    share: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
 class Growth:
-    """The posterior of growth: prior, links, and the curves that explain them."""
+    """The posterior of growth: its prior, the curves that explain the fruit, and their number."""
 
     prior: GrowthPrior
-    links: tuple[Link, ...]
     curves: tuple[Curve, ...]
+    fruit: int = 0
 
     @property
     def mean_m(self) -> float:
         """Mean growth of the house until it slows, metres a day."""
-        return sum(curve.weight * curve.mean_m for curve in self.curves)
+        return sum(curve.share * curve.mean_m for curve in self.curves)
 
     @property
     def mean_sd_m(self) -> float:
         """Standard deviation of `mean_m`."""
-        squares = sum(c.weight * (c.mean_m**2 + c.sd_m**2) for c in self.curves)
+        squares = sum(c.share * (c.mean_m**2 + c.sd_m**2) for c in self.curves)
         return float(np.sqrt(max(squares - self.mean_m**2, 0.0)))
 
 
-def fit_growth(links: Sequence[Link], prior: GrowthPrior) -> Growth:
-    """Learn growth from links.
+def fit_growth(fruit: Sequence[FruitState], prior: GrowthPrior) -> Growth:
+    """Learn growth from the fruit that were measured on several days.
 
     Parameters
     ----------
-    links : sequence of Link
-        May be empty: then the result is the prior.
+    fruit : sequence of FruitState
+        Those without earlier measurements are ignored; without any others the result is the prior.
     prior : GrowthPrior
         The prior.
 
@@ -273,28 +300,36 @@ def fit_growth(links: Sequence[Link], prior: GrowthPrior) -> Growth:
     The errors of two measurements are taken as independent. An error common to all lengths, such as
     the camera's depth scale, changes growth by the same share.
 
-    A fruit that is short and grew fast was too short to be measured earlier and has no link, so
-    that links of short fruit favour slow ones. Only fruit that would have been long enough at any
+    A fruit that is short and grew fast was too short to be measured earlier, so that short fruit
+    that were measured before favour slow growth. Only fruit that would have been long enough at any
     likely growth count for the house, where they are a third of all.
 
     Examples
     --------
     >>> prior = GrowthPrior(0.03, Spreads(0.006, 0.002, 0.005, 0.003, 0.003))
-    >>> links = [Link(str(k), "1", 0, 0.2, 0.003, 3, 0.32, 0.003) for k in range(200)]
-    >>> round(100 * fit_growth(links, prior).mean_m, 1)  # 4.0 cm a day were seen
+    >>> before = ((0, 0.2, 0.003),)
+    >>> fruit = [FruitState(str(k), "1", 0, 0.32, 0.003, 3, earlier=before) for k in range(200)]
+    >>> round(100 * fit_growth(fruit, prior).mean_m, 1)  # 4.0 cm a day were seen
     3.9
     """
-    histories = [measured_points(group) for group in links_by_fruit(links).values()]
-    histories = _fair(histories, prior)
-    fits = [_fit(histories, prior, full_m) for full_m in prior.full_m]
+    # Of the first and the last length: each length between would be evidence of its own.
+    histories = [(state.points[0], state.points[-1]) for state in fruit if state.earlier]
+    fair = _fair(histories, prior)
+    fits = [_fit(fair, prior, full_m) for full_m in prior.full_m]
     evidence = np.array([log_evidence for _, log_evidence in fits])
     weight = np.exp(evidence - evidence.max())
     weight[weight < _LEAST_WEIGHT * weight.sum()] = 0
-    weight /= weight.sum()
+    is_slowing = np.isfinite(prior.full_m)
+    weight, share = (
+        weight * np.where(is_slowing, slowing / _CURVES, 1 - slowing) for slowing in _SLOWING
+    )
+    weight, share = weight / weight.sum(), share / share.sum()
     curves = [
-        replace(curve, weight=float(w)) for (curve, _), w in zip(fits, weight, strict=True) if w
+        replace(curve, weight=float(w), share=float(s))
+        for (curve, _), w, s in zip(fits, weight, share, strict=True)
+        if w
     ]
-    return Growth(prior, tuple(links), tuple(curves))
+    return Growth(prior, tuple(curves), len(histories))
 
 
 def _fit(
@@ -326,21 +361,7 @@ def _fit(
     return curve, float(density.sum() * independent - surprise / 2)
 
 
-def links_by_fruit(links: Sequence[Link]) -> dict[str, list[Link]]:
-    """Return the links of each fruit."""
-    by_fruit: dict[str, list[Link]] = {}
-    for link in links:
-        by_fruit.setdefault(link.fruit_id, []).append(link)
-    return by_fruit
-
-
-def measured_points(links: Sequence[Link]) -> list[Point]:
-    """Return the measurements (day, length_m, sd_m) of one fruit's links, each once, in order."""
-    starts = {(k.day0, k.length0_m, k.sd0_m) for k in links}
-    return sorted(starts | {(k.day1, k.length1_m, k.sd1_m) for k in links})
-
-
-def _fair(histories: list[list[Point]], prior: GrowthPrior) -> list[list[Point]]:
+def _fair(histories: list[tuple[Point, Point]], prior: GrowthPrior) -> list[tuple[Point, Point]]:
     """Return the fruit that would have been long enough for their first round at likely growth."""
     if not histories:
         return []
@@ -369,3 +390,160 @@ def _fruit_variance(growth: NDArray[np.float64], error: NDArray[np.float64], pri
         _PRIOR_FRUIT + float((information * freedom).sum())
     )
     return max(variance, _LEAST_VARIANCE * prior)
+
+
+@dataclass(frozen=True, eq=False)
+class FruitLines:
+    """The posterior of N fruit's last stage and growth, given the growth g of their house.
+
+    Parameters
+    ----------
+    day : ndarray of float64, shape (N,)
+        Of the last length.
+    stage_m, growth_m : ndarray of float64, shape (2, N)
+        Means: the first line plus the second times g; metres, metres a day.
+    covariance : ndarray of float64, shape (3, N)
+        Variance of the stage, covariance, variance of the growth.
+    """
+
+    day: NDArray[np.float64]
+    stage_m: NDArray[np.float64]
+    growth_m: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+
+
+def fruit_lines(
+    fruit: Sequence[FruitState], growth: Growth, curve: Curve, scale_sd: float
+) -> FruitLines:
+    """Return the line of each fruit through its stages, its slope pooled with the house's growth.
+
+    Parameters
+    ----------
+    fruit, growth, scale_sd
+        As `draw_lengths` takes them.
+    curve : Curve
+        One of the growth's.
+    """
+    histories = []
+    for state in fruit:
+        alone_var = max(state.sd_m**2 - (scale_sd * state.length_m) ** 2, (0.1 * state.sd_m) ** 2)
+        histories.append([*state.earlier, (state.day, state.length_m, alone_var**0.5)])
+    sums = LineSums.of(histories, growth.prior.spreads, curve.full_m)
+    # The house's growth is one more measurement of the slope.
+    pull = curve.fruit_sd_m**-2
+    day_day = sums.day_day + pull
+    determinant = sums.weight * day_day - sums.day**2
+    stage_m = day_day * sums.stage - sums.day * sums.day_stage, -pull * sums.day
+    growth_m = sums.weight * sums.day_stage - sums.day * sums.stage, pull * sums.weight
+    return FruitLines(
+        day=np.array([state.day for state in fruit], np.float64),
+        stage_m=np.array(stage_m) / determinant,
+        growth_m=np.array(growth_m) / determinant,
+        covariance=np.array([day_day, -sums.day, sums.weight]) / determinant,
+    )
+
+
+def lengths_today(
+    fruit: Sequence[FruitState], growth: Growth, today: float, scale_sd: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the mean and standard deviation of each length today, metres, (N,)."""
+    spreads = growth.prior.spreads
+    mean_m, squares = np.zeros((2, len(fruit)))
+    for curve in growth.curves:
+        lines = fruit_lines(fruit, growth, curve, scale_sd)
+        days = today - lines.day
+        by_house = lines.stage_m[1] + days * lines.growth_m[1]
+        stage_m = lines.stage_m[0] + days * lines.growth_m[0] + by_house * curve.mean_m
+        of_stage, shared, of_growth = lines.covariance
+        variance = of_stage + 2 * days * shared + days**2 * of_growth
+        variance += days * (spreads.day**2 + spreads.fruit_day**2) + (by_house * curve.sd_m) ** 2
+        length_m = length_of(stage_m, curve.full_m)
+        variance *= rate_share(length_m, curve.full_m) ** 2
+        mean_m += curve.share * length_m
+        squares += curve.share * (length_m**2 + variance)
+    return mean_m, np.sqrt(np.maximum(squares - mean_m**2, 0.0) + (scale_sd * mean_m) ** 2)
+
+
+def draw_lengths(
+    fruit: Sequence[FruitState],
+    growth: Growth,
+    today: float,
+    days: int,
+    draws: int,
+    scale_sd: float,
+    rng: np.random.Generator,
+    shortest_m: float,
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]]:
+    """Draw the lengths of fruit on days 0 to `days`; lengths never shrink.
+
+    Parameters
+    ----------
+    fruit : sequence of FruitState
+        N fruit.
+    growth : Growth
+        The posterior.
+    today : float
+        Day 0; every fruit is extrapolated to it.
+    days, draws : int
+        Days ahead, and number of draws.
+    scale_sd : float
+        Relative standard deviation of an error common to all lengths.
+    rng : numpy.random.Generator
+        Random generator.
+    shortest_m : float
+        Length of a newcomer today, metres: the shortest that is measured.
+
+    Returns
+    -------
+    lengths_m : ndarray of float32, shape (days + 1, draws, N)
+        Of the fruit.
+    share : ndarray of float64, shape (draws,)
+        Of each draw in what is expected; they add to 1.
+    newcomer_m : ndarray of float32, shape (days + 1, draws)
+        Of a newcomer.
+    share : ndarray of float64, shape (draws,)
+        Of each draw in what is expected; together 1.
+    """
+    spreads, drawn = growth.prior.spreads, []
+    hanging = [*fruit, FruitState("", "", 0.0, shortest_m, _EXACT_M, today)]
+    gap = np.array([today - state.day for state in hanging], np.float32)
+    ends = np.round(draws * np.cumsum([0.0, *(c.weight for c in growth.curves)])).astype(int)
+    [later] = rng.spawn(1)  # today's draws do not depend on the number of days
+    counts = np.diff(ends)
+    share = np.repeat([c.share for c in growth.curves] / np.maximum(counts, 1), counts)
+    for curve, count in zip(growth.curves, counts.tolist(), strict=True):
+        lines = fruit_lines(hanging, growth, curve, scale_sd)
+        of_stage, shared, of_growth = lines.covariance
+        root = np.array([of_stage, shared, np.zeros_like(shared)]) / np.sqrt(of_stage)
+        root[2] = np.sqrt(np.maximum(of_growth - root[1] ** 2, 0.0))
+        stage, slope, sd = (
+            part.astype(np.float32) for part in (lines.stage_m, lines.growth_m, root)
+        )
+        house_m = curve.mean_m + curve.sd_m * rng.standard_normal((count, 1), np.float32)
+        first, second = rng.standard_normal((2, count, len(hanging)), np.float32)
+        stages_m = np.empty((days + 1, count, len(hanging)), np.float32)
+        stages_m[0] = stage[0] + stage[1] * house_m + sd[0] * first
+        growth_m = slope[0] + slope[1] * house_m + sd[1] * first + sd[2] * second
+        if gap.any():
+            stages_m[0] += _step(growth_m, gap, spreads, later)
+        for day in range(days):
+            stages_m[day + 1] = stages_m[day] + _step(growth_m, np.float32(1), spreads, later)
+        drawn.append(length_of(stages_m, curve.full_m))
+    lengths_m = np.concatenate(drawn, axis=1)
+    lengths_m *= np.exp(scale_sd * rng.standard_normal((draws, 1))).astype(np.float32)
+    return lengths_m[..., :-1], lengths_m[..., -1], share / share.sum()
+
+
+def _step(
+    growth_m: NDArray[np.float32],
+    days: NDArray[np.float32] | np.float32,
+    spreads: Spreads,
+    rng: np.random.Generator,
+) -> NDArray[np.float32]:
+    """Draw how far fruit come in some days, (draws, N): never back."""
+    step = rng.standard_normal(growth_m.shape, np.float32)
+    step *= np.float32(spreads.fruit_day)
+    step += (spreads.day * rng.standard_normal((len(step), 1))).astype(np.float32)
+    step *= np.sqrt(days)
+    step += days * growth_m
+    return np.maximum(step, 0, out=step)

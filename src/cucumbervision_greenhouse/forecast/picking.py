@@ -15,10 +15,13 @@ from cucumbervision.crop.profiles import TOO_LONG
 from cucumbervision_greenhouse.forecast.forecast import natural_key
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Collection, Iterable, Mapping
 
     from cucumbervision_greenhouse.forecast.forecast import Forecast
-    from cucumbervision_greenhouse.forecast.length_draws import FruitState
+    from cucumbervision_greenhouse.forecast.growth import FruitState
+
+
+_SURE = 0.95  # probability from which a fruit is surely ready on a later day
 
 
 class PickKind(StrEnum):
@@ -45,6 +48,8 @@ class Pick:
         Whether it is ready, may be, or is too long.
     possible : tuple of str
         The classes that it may be in.
+    length_m : float
+        Expected length today, metres.
     """
 
     fruit: FruitState
@@ -52,6 +57,7 @@ class Pick:
     ready: float
     kind: PickKind = PickKind.READY
     possible: tuple[str, ...] = ()
+    length_m: float = 0.0
 
 
 def pick_list(forecast: Forecast) -> tuple[Pick, ...]:
@@ -63,12 +69,12 @@ def pick_list(forecast: Forecast) -> tuple[Pick, ...]:
     Parameters
     ----------
     forecast : Forecast
-        Its day 0 is today; picked fruit are excluded.
+        Its day 0 is today; picked fruit are listed too.
 
     Examples
     --------
     >>> from cucumbervision_greenhouse.forecast.forecast import forecast
-    >>> from cucumbervision_greenhouse.forecast.length_draws import FruitState
+    >>> from cucumbervision_greenhouse.forecast.growth import FruitState
     >>> from cucumbervision_greenhouse.forecast.growth import GrowthPrior, fit_growth
     >>> from cucumbervision.crop.profiles import load_profile
     >>> profile = load_profile("long-cucumber")
@@ -78,11 +84,11 @@ def pick_list(forecast: Forecast) -> tuple[Pick, ...]:
     >>> [(pick.fruit.row, pick.fruit.position_m, pick.name) for pick in pick_list(today)]
     [('1', 3.0, 'I'), ('2', 9.0, 'undecided'), ('2', 4.0, 'I')]
     """
-    kinds = [_kind(possible, forecast.pick) for possible in forecast.possible]
+    columns = forecast.fruit, forecast.possible, forecast.length_m, forecast.ready()
     listed = [
-        Pick(fruit=state, name=class_of(possible), ready=float(ready), kind=kind, possible=possible)
-        for state, possible, ready, kind in zip(
-            forecast.fruit, forecast.possible, forecast.ready, kinds, strict=True
+        Pick(state, class_of(possible), float(ready), kind, possible, float(length_m))
+        for (state, possible, length_m, ready), kind in zip(
+            zip(*columns, strict=True), _kinds(forecast), strict=True
         )
         if kind is not None
     ]
@@ -97,12 +103,88 @@ def pick_list(forecast: Forecast) -> tuple[Pick, ...]:
     return tuple(sorted(listed, key=along_the_walk))
 
 
-def _kind(possible: tuple[str, ...], picked: Sequence[str]) -> PickKind | None:
-    if {*possible} <= {*picked}:
+def _kinds(forecast: Forecast, day: int = 0) -> list[PickKind | None]:
+    """Return which fruit are surely ready, may be, or are too long: today by their classes."""
+    if day == 0:
+        return [_kind({*possible}, {*forecast.pick}) for possible in forecast.possible]
+    ready = forecast.ready(day)
+    kinds = {True: PickKind.READY, False: PickKind.UNDECIDED}
+    return [kinds[share >= _SURE] if share >= 1 - _SURE else None for share in ready.tolist()]
+
+
+def _kind(possible: set[str], picked: set[str]) -> PickKind | None:
+    if possible <= picked:
         return PickKind.READY
-    if possible == (TOO_LONG,):
+    if possible == {TOO_LONG}:
         return PickKind.TOO_LONG
-    return PickKind.UNDECIDED if {*possible} & {*picked} else None
+    return PickKind.UNDECIDED if possible & picked else None
+
+
+@dataclass(frozen=True)
+class Ready:
+    """The fruit that are ready on a day, if none is picked before.
+
+    Parameters
+    ----------
+    expected : dict of str to float
+        The sum of the fruit's probabilities, by class that is picked.
+    sure, may_be, too_long : int
+        Fruit that are surely ready, those that may be, and too long ones; a day later than today
+        counts no too long ones.
+    """
+
+    expected: dict[str, float]
+    sure: int
+    may_be: int
+    too_long: int
+
+    @property
+    def fruit(self) -> float:
+        """The expected number of all classes."""
+        return sum(self.expected.values())
+
+
+def ready_on(
+    forecast: Forecast, day: int = 0, row: str | None = None, picked: Collection[str] = ()
+) -> Ready:
+    """Return the fruit that are ready on a day: the one definition for all pages and files.
+
+    Parameters
+    ----------
+    forecast : Forecast
+        Of a round.
+    day : int
+        Days from today.
+    row : str, optional
+        One row alone.
+    picked : collection of str
+        Keys of fruit that were picked since the forecast was made.
+
+    Examples
+    --------
+    >>> from cucumbervision_greenhouse.forecast.forecast import forecast
+    >>> from cucumbervision_greenhouse.forecast.growth import FruitState, GrowthPrior, fit_growth
+    >>> from cucumbervision.crop.profiles import load_profile
+    >>> profile = load_profile("long-cucumber")
+    >>> lengths = [0.22, 0.24, 0.25, 0.28]
+    >>> fruit = [FruitState(str(x), "1", 0.0, x, 0.01) for x in lengths]
+    >>> today = ready_on(forecast(fruit, fit_growth([], GrowthPrior.of(profile)), profile))
+    >>> round(today.fruit), today.sure, today.may_be
+    (2, 1, 2)
+    """
+    counted = np.array(
+        [
+            not f.picked and f.fruit_id not in picked and row in (None, f.row)
+            for f in forecast.fruit
+        ],
+        bool,
+    )
+    sums = forecast.probability[counted, day].sum(axis=0)
+    kinds = Counter(k for k, counts in zip(_kinds(forecast, day), counted, strict=True) if counts)
+    return Ready(
+        {name: float(sums[forecast.classes.index(name)]) for name in forecast.pick},
+        *(kinds[kind] for kind in PickKind),
+    )
 
 
 @dataclass(frozen=True)
@@ -156,55 +238,6 @@ class DayWork:
     complete: bool
 
 
-@dataclass(frozen=True)
-class PickWork:
-    """The ready fruit of a pick list, and the work of picking them.
-
-    Parameters
-    ----------
-    fruit : int
-        Fruit of classes that are picked.
-    by_class : dict of str to int
-        Fruit by class.
-    hours : float
-        For one person.
-    crates : dict of str to int
-        Whole crates by class.
-    """
-
-    fruit: int
-    by_class: dict[str, int]
-    hours: float
-    crates: dict[str, int]
-
-
-def work_of(picks: Iterable[Pick], rates: Rates | None = None) -> PickWork:
-    """Return the fruit of a pick list that are ready, and the work of picking them.
-
-    Parameters
-    ----------
-    picks : iterable of Pick
-        Fruit still to be picked.
-    rates : Rates, optional
-        The user's own.
-
-    Examples
-    --------
-    >>> from cucumbervision_greenhouse.forecast.length_draws import FruitState
-    >>> picks = [Pick(FruitState(str(k), "1", 0.1 * k, 0.3, 0.004), "I", 1.0) for k in range(70)]
-    >>> work = work_of(picks, Rates(fruit_per_hour=350, minutes_per_row=3))
-    >>> work.fruit, work.hours, work.crates
-    (70, 0.25, {'I': 6})
-    """
-    rates = rates or Rates()
-    ready = [pick for pick in picks if pick.kind is PickKind.READY]
-    by_class = Counter(pick.name for pick in ready)
-    walking = rates.minutes_per_row / 60 * len({pick.fruit.row for pick in ready})
-    hours = len(ready) / rates.fruit_per_hour + walking
-    crates = {name: math.ceil(n / rates.fruit_per_crate) for name, n in by_class.items()}
-    return PickWork(len(ready), dict(by_class), hours, crates)
-
-
 def hours_words(hours: float) -> str:
     """Format hours of work; less than 1.5 hours as minutes.
 
@@ -214,6 +247,33 @@ def hours_words(hours: float) -> str:
     ('19 min', '3.2 h')
     """
     return f"{hours:.1f} h" if hours >= 1.5 else f"{math.ceil(60 * hours - 1e-9):d} min"
+
+
+def work(
+    by_class: Mapping[str, float], rows: Iterable[float], rates: Rates
+) -> tuple[float, dict[str, float]]:
+    """Return hours for one person and whole crates by class.
+
+    Parameters
+    ----------
+    by_class : mapping of str to float
+        Fruit to pick.
+    rows : iterable of float
+        Fruit to pick in each row; one with 0.5 expected fruit is walked half of the time.
+    rates : Rates
+        The user's own.
+
+    Examples
+    --------
+    >>> work({"I": 70.0}, [70.0, 0.0], Rates(fruit_per_hour=350, minutes_per_row=3))
+    (0.25, {'I': 6.0})
+    """
+    walking = rates.minutes_per_row / 60 * sum(min(fruit, 1.0) for fruit in rows)
+    crates = {
+        name: float(math.ceil(fruit / rates.fruit_per_crate - 1e-9))
+        for name, fruit in by_class.items()
+    }
+    return sum(by_class.values()) / rates.fruit_per_hour + walking, crates
 
 
 def plan_work(forecast: Forecast, rates: Rates | None = None) -> tuple[DayWork, ...]:
@@ -229,14 +289,12 @@ def plan_work(forecast: Forecast, rates: Rates | None = None) -> tuple[DayWork, 
     Notes
     -----
     The intervals are those of the counts by class; if several classes are picked, the interval of
-    their sum covers at least the level. Today's count is that of the pick list (`work_of`), so that
-    every page shows the same number; its interval allows for missed fruit and false positives.
+    their sum covers at least the level.
 
     Examples
     --------
     >>> from cucumbervision_greenhouse.forecast.forecast import forecast
-    >>> from cucumbervision_greenhouse.forecast.length_draws import FruitState
-    >>> from cucumbervision_greenhouse.forecast.growth import GrowthPrior, fit_growth
+    >>> from cucumbervision_greenhouse.forecast.growth import FruitState, GrowthPrior, fit_growth
     >>> from cucumbervision.crop.profiles import load_profile
     >>> profile = load_profile("long-cucumber")
     >>> fruit = [FruitState(str(k), "1", 0.1 * k, 0.30, 0.004) for k in range(70)]
@@ -245,29 +303,26 @@ def plan_work(forecast: Forecast, rates: Rates | None = None) -> tuple[DayWork, 
     >>> today.fruit.expected, today.hours.expected, today.crates["I"].expected
     (70.0, 0.25, 6.0)
     """
-    rates = rates or Rates()
     chosen = [forecast.classes.index(name) for name in forecast.pick]
-    today, plans = work_of(pick_list(forecast), rates), []
+    plans = []
     for day in forecast.days.tolist():
-        counts = [getattr(forecast.picks, end)[day, chosen] for end in ("expected", "low", "high")]
-        if day == 0:
-            listed = np.array([today.by_class.get(name, 0) for name in forecast.pick], np.float64)
-            counts = [listed, np.minimum(counts[1], listed), np.maximum(counts[2], listed)]
-        rows = forecast.row_picks.expected[:, day][:, chosen].sum(axis=1)
-        # A row with 0.5 expected fruit is walked about half of the time.
-        walking = rates.minutes_per_row / 60 * float(np.minimum(rows, 1.0).sum())
-        fruit = [float(number.sum()) for number in counts]
-        if day == 0:
-            walking = today.hours - today.fruit / rates.fruit_per_hour
-        hours = [number / rates.fruit_per_hour + walking for number in fruit]
-        crates = {
-            name: Span(*(float(math.ceil(n[k] / rates.fruit_per_crate - 1e-9)) for n in counts))
-            for k, name in enumerate(forecast.pick)
-        }
-        complete = bool(forecast.complete[day, chosen].all())
+        rows = forecast.row_picks.expected[:, day][:, chosen].sum(axis=1).tolist()
+        ends = [
+            dict(
+                zip(forecast.pick, getattr(forecast.picks, end)[day, chosen].tolist(), strict=True)
+            )
+            for end in ("expected", "low", "high")
+        ]
+        hours, crates = zip(
+            *(work(by_class, rows, rates or Rates()) for by_class in ends), strict=True
+        )
         plans.append(
             DayWork(
-                day=day, fruit=Span(*fruit), hours=Span(*hours), crates=crates, complete=complete
+                day=day,
+                fruit=Span(*(sum(by_class.values()) for by_class in ends)),
+                hours=Span(*hours),
+                crates={name: Span(*(end[name] for end in crates)) for name in forecast.pick},
+                complete=bool(forecast.complete[day, chosen].all()),
             )
         )
     return tuple(plans)

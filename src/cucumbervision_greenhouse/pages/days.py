@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from typing import TYPE_CHECKING
 
 import streamlit as st
@@ -147,12 +146,13 @@ def _rows(comparison: DayComparison) -> None:
 
 def _classes(comparison: DayComparison, before: Round, after: Round) -> None:
     """Show the compared fruit by class, on both days."""
-    grades = [round_view.graded_round(x).grades for x in (before, after)]
     compared = [x for x in comparison.changes if x.change is not Change.NOT_WALKED]
-    views = [x.before for x in compared], [x.after for x in compared]
     first, last = (
-        Counter(grades_of_day[view.key].label for view in views_of_day if view is not None)
-        for grades_of_day, views_of_day in zip(grades, views, strict=True)
+        round_view.class_counts(walk, filter(None, views))
+        for walk, views in (
+            (before, [x.before for x in compared]),
+            (after, [x.after for x in compared]),
+        )
     )
     page_elements.table(
         [

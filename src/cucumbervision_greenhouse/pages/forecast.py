@@ -10,9 +10,9 @@ import streamlit as st
 
 from cucumbervision_greenhouse import resources, round_view
 from cucumbervision_greenhouse.forecast.forecast import Forecast
-from cucumbervision_greenhouse.forecast.picking import Span, plan_work
-from cucumbervision_greenhouse.language import counted, language, plain
+from cucumbervision_greenhouse.forecast.picking import Span, plan_work, ready_on
 from cucumbervision_greenhouse.language import gettext as _
+from cucumbervision_greenhouse.language import language, plain
 from cucumbervision_greenhouse.pages import page_elements
 from cucumbervision_greenhouse.resources import KEPT
 from cucumbervision_greenhouse.rounds.forecasting import Age, age_of
@@ -20,6 +20,7 @@ from cucumbervision_greenhouse.words import (
     age_words,
     class_words,
     clock_words,
+    count_words,
     expected_classes,
     first_days,
     forecast_day,
@@ -47,8 +48,7 @@ def page(round_summary: Round) -> None:
     names = [_("Next days"), _("Work and crates")]
     days, work = st.tabs(names, key="forecast_tabs", on_change="rerun")
     with days:
-        graded = round_view.graded_round(round_summary)
-        _days(prediction, round_view.undecided_today(graded, prediction))
+        _days(prediction)
     if work.open:
         with work:
             _work(prediction)
@@ -90,7 +90,7 @@ def _chart(prediction: Forecast, language: str, theme: str | None) -> None:  # n
     st.altair_chart(charts.forecast_chart(prediction))
 
 
-def _days(prediction: Forecast, undecided: int) -> None:
+def _days(prediction: Forecast) -> None:
     first = [
         f"{class_words(name)} {forecast_day(prediction, day)}"
         for name, day in first_days(prediction).items()
@@ -102,7 +102,13 @@ def _days(prediction: Forecast, undecided: int) -> None:
     house = prediction.house
     lines = []
     for day in prediction.days.tolist():
-        line = {_("Day"): forecast_day(prediction, day)}
+        ready = ready_on(prediction, day)
+        line: dict[str, object] = {
+            _("Day"): forecast_day(prediction, day),
+            _("Ready"): count_words(ready.fruit),
+            _("Sure"): ready.sure,
+            _("May be ready"): ready.may_be,
+        }
         for k in expected_classes(prediction):
             count = Span(house.expected[day, k], house.low[day, k], house.high[day, k])
             words = span_words(count)
@@ -111,14 +117,10 @@ def _days(prediction: Forecast, undecided: int) -> None:
             line[class_words(prediction.classes[k])] = words
         lines.append(line)
     page_elements.table(lines)
-    words = _("'Or more': fruit too small to be detected today are not counted.")
-    if undecided:
-        today = counted(
-            undecided,
-            "Today {n} undecided fruit is in no class, and in the ranges.",
-            "Today {n} undecided fruit are in no class, and in the ranges.",
-        )
-        words = f"{today} {words}"
+    words = _(
+        "Ready is the expected number: the sum of what is likely of each fruit. 'Or more': fruit "
+        "too small to be detected today are not counted."
+    )
     st.caption(words)
     with st.expander(_("Details"), icon=":material/list:"):
         growth = growth_words(prediction.growth, resources.settings().units)
@@ -146,7 +148,7 @@ def _work(prediction: Forecast) -> None:
             },
         }
         for day in plan_work(prediction, resources.settings().rates)
-        if day.fruit.high >= 1
+        if count_words(day.fruit.expected) != "0"
     ]
     page_elements.table(lines)
     st.caption(_("If every ready fruit is picked every day. Hours for one person."))

@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 
     from streamlit.delta_generator import DeltaGenerator
 
-    from cucumbervision_greenhouse.forecast.picking import PickWork
     from cucumbervision_greenhouse.jobs import Job
     from cucumbervision_greenhouse.store.records import FruitRow, Round
 
@@ -322,18 +321,16 @@ def here(**parts: str) -> dict[str, str]:
     return ({"round": opened} if opened else {}) | parts
 
 
-def work_words(work: PickWork) -> str:
+def work_words(hours: float, crates: float) -> str:
     """Return the work and crates that picking takes, in words.
 
     Examples
     --------
-    >>> from cucumbervision_greenhouse.forecast.picking import PickWork
-    >>> work_words(PickWork(70, {"I": 70}, 0.2333, {"I": 6}))
+    >>> work_words(0.2333, 6.0)
     '14 min and 6 crates'
     """
-    crates = sum(work.crates.values())
-    hours = hours_words(work.hours)
-    return counted(crates, "{hours} and {n} crate", "{hours} and {n} crates", hours=hours)
+    words = "{hours} and {n} crate", "{hours} and {n} crates"
+    return counted(int(crates), *words, hours=hours_words(hours))
 
 
 def name_in_address(name: str, value: str | None) -> None:

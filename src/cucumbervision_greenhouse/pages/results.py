@@ -25,11 +25,12 @@ from cucumbervision_greenhouse.words import (
     grade_words,
     interval_words,
     label_words,
-    length_words,
     position_words,
+    ready_words,
     remarks,
     row_name,
     side_words,
+    today_words,
 )
 
 if TYPE_CHECKING:
@@ -116,9 +117,8 @@ def _classes(round_summary: Round, graded: GradedRound) -> None:
     words = ", ".join(f"{number} {label_words(name)}" for name, number in sorted(counts.items()))
     says, go = st.columns([3, 1], vertical_alignment="center")
     says.markdown(f"**{plain(words or _('No fruit on the plant'))}**")
-    if round_view.today_of(round_summary).age_days:
-        words = _("As measured. 'What is ready today' includes the growth expected since then.")
-        says.caption(words)
+    if (ready := round_view.ready_today(round_summary)) is not None:
+        says.caption(ready_words(ready))
     if is_demonstration(round_summary.key):
         says.caption(_("A computer-made example."))
     with go:
@@ -246,7 +246,8 @@ def _line(graded: GradedRound, view: FruitRow) -> dict[str, Any]:
     checked = _(_VERDICTS[view.verdict]), _("corrected") if view.corrected else ""
     picked = _("picked") if view.picked_s else ""
     says = [
-        length_words(record, units) + (f" ({interval})" if interval else ""),
+        today_words(record, graded.today_m.get(view.key), units)
+        + (f" ({interval})" if interval else ""),
         grade_words(graded.grades[view.key]),
         f"{row_name(view.row)} {side_words(view.side)}".strip() + position,
         ", ".join(filter(None, (*checked, picked, _("computer-made") if view.simulated else ""))),

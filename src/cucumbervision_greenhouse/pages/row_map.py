@@ -27,7 +27,7 @@ from cucumbervision_greenhouse.rounds.fruit_table import least_sure_first
 from cucumbervision_greenhouse.rounds.merge_and_link import move_stop
 from cucumbervision_greenhouse.rounds.walking import sides_of
 from cucumbervision_greenhouse.store.records import Verdict
-from cucumbervision_greenhouse.words import label_words, side_words, stop_name
+from cucumbervision_greenhouse.words import label_words, ready_words, side_words, stop_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -107,6 +107,8 @@ def _maps(round_summary: Round, opened: FruitRow | None) -> None:
             "to the camera."
         )
     )
+    if (ready := round_view.ready_today(round_summary)) is not None:
+        st.caption(ready_words(ready))
     _doubtful(graded)
 
 

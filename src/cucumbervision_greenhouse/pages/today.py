@@ -10,7 +10,7 @@ import streamlit as st
 
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision_greenhouse import resources, round_view, tasks
-from cucumbervision_greenhouse.forecast.picking import PickKind, work_of
+from cucumbervision_greenhouse.forecast.picking import PickKind, ready_on, work
 from cucumbervision_greenhouse.language import counted, marked, ngettext, plain, sentence
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.pages import page_elements
@@ -23,17 +23,19 @@ from cucumbervision_greenhouse.words import (
     age_words,
     class_words,
     clock_words,
+    count_words,
     height_words,
-    length_words,
     pick_words,
     position_words,
     round_day,
     side_words,
+    today_words,
 )
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from cucumbervision_greenhouse.forecast.forecast import Forecast
     from cucumbervision_greenhouse.forecast.picking import Pick
     from cucumbervision_greenhouse.rounds.forecasting import RowPicks, Today
     from cucumbervision_greenhouse.store.records import Round
@@ -45,9 +47,9 @@ def page(round_summary: Round) -> None:
     today = round_view.today_of(round_summary)
     _age(round_summary, today)
     _next(round_summary, today)
-    if not today.rows:
+    if not today.rows or today.forecast is None:
         return
-    _ready(round_summary, today)
+    _ready(round_summary, today.forecast)
     st.header(_("Pick list"))
     address = f"/api/print/{round_summary.key}"
     st.link_button(_("Print"), address, icon=":material/print:", width="stretch")
@@ -71,8 +73,6 @@ def _age(round_summary: Round, today: Today) -> None:
         )
         return
     words = _ago(today.age_days).format(when=walked)
-    if today.age_days:
-        words += " " + _("Lengths include the growth expected since then.")
     (st.warning if today.age is Age.OLD else st.markdown)(words)
     if is_demonstration(round_summary.key):
         st.info(_("A computer-made example."), icon=":material/draw:")
@@ -127,46 +127,32 @@ def _next(round_summary: Round, today: Today) -> None:
             page_elements.link(target, label)
 
 
-def _ready(round_summary: Round, today: Today) -> None:
+def _ready(round_summary: Round, forecast: Forecast) -> None:
     """Say what is still to be picked, by class and row."""
-    today = today.left(_picked(round_summary, today))
-    ready, undecided, too_long = (len(today.of(kind)) for kind in PickKind)
-    names = work_of(today.of(PickKind.READY)).by_class
-    metrics = [(_("Ready today"), ready)]
-    metrics += [(class_words(name), number) for name, number in sorted(names.items())]
-    other_kinds = [(PickKind.UNDECIDED, undecided), (PickKind.TOO_LONG, too_long)]
-    labels = {name: class_words(name) for name in sorted(names)}
-    for kind, count in other_kinds:
-        if count:
-            labels[str(kind)] = _(_KINDS[kind])
-            metrics.append((labels[str(kind)], count))
+    picked = _picked(round_summary)
+
+    def numbers(row: str | None = None) -> dict[str, str | int]:
+        ready = ready_on(forecast, row=row, picked=picked)
+        classes = ready.expected if len(ready.expected) > 1 else {}
+        return {
+            _("Ready today"): count_words(ready.fruit),
+            **{class_words(name): count_words(number) for name, number in classes.items()},
+            _("Sure"): ready.sure,
+            _("May be ready"): ready.may_be,
+            _("Too long"): ready.too_long,
+        }
+
     with st.container(horizontal=True):
-        for label, value in metrics:
+        for label, value in numbers().items():
             st.metric(plain(label), value, width="content")
-    lines = []
-    for row, counts_of_row in today.by_class().items():
-        counts = {label: counts_of_row.get(name) or "" for name, label in labels.items()}
-        total = sum(counts_of_row.values())
-        lines.append({_("Row"): row or _("not named"), **counts, _("All"): total})
-    if len(lines) > 1:
-        page_elements.table(lines)
-    crop = resources.profile_of(round_summary)[1].title
-    words = counted(
-        ready,
-        "Classes of {crop}. {n} fruit is left in the list below.",
-        "Classes of {crop}. {n} fruit are left in the list below.",
-        crop=_(crop),
+    if len(rows := forecast.rows) > 1:
+        page_elements.table([{_("Row"): row or _("not named"), **numbers(row)} for row in rows])
+    words = _(
+        "Classes of {crop}. Ready is the expected number: the sum of what is likely of each fruit."
     )
-    if undecided:
-        words += " " + counted(
-            undecided,
-            "{n} more may be ready: its class is undecided.",
-            "{n} more may be ready: their class is undecided.",
-        )
-    st.caption(plain(words))
+    st.caption(plain(words.format(crop=_(resources.profile_of(round_summary)[1].title))))
 
 
-_KINDS = {PickKind.UNDECIDED: marked("May be ready"), PickKind.TOO_LONG: marked("Too long")}
 _SAID = {
     PickKind.UNDECIDED: marked(
         "**May be ready**: the length is not known well enough for one class"
@@ -180,7 +166,7 @@ _SAID = {
 def _picks(round_summary: Round, today: Today) -> None:
     @st.fragment
     def _draw() -> None:
-        picked = _picked(round_summary, today)
+        picked = _picked(round_summary)
         rows = {row.row: row for row in today.rows}
         ready = {name: row_picks.of(PickKind.READY) for name, row_picks in rows.items()}
         done = {
@@ -213,7 +199,7 @@ def _picks(round_summary: Round, today: Today) -> None:
                 continue
             if explanation := _SAID.get(kind):
                 st.markdown(_(explanation))
-            lines = _lines(round_summary, picks, picked, today.simulated)
+            lines = _lines(round_summary, picks, picked)
             key = f"picks_{kind}_{round_summary.key}_{row.row}"
             page_elements.fruit_list(key, _("Fruit to pick"), lines, words, partial(_keep, key))
         _all_picked(row, picked)
@@ -226,27 +212,25 @@ def _is_picked(pick: Pick, picked: set[str]) -> bool:
     return pick.fruit.fruit_id in picked
 
 
-def _picked(round_summary: Round, today: Today) -> set[str]:
+def _picked(round_summary: Round) -> set[str]:
     """Return the keys of the fruit that are picked by now."""
-    keys = resources.store().picked(round_summary.key)
-    return {today.best.get(key, key) for key in keys}
+    groups = round_view.content_of(round_summary).group_of
+    return {groups.get(key, key) for key in resources.store().picked(round_summary.key)}
 
 
-def _lines(
-    round_summary: Round, picks: Sequence[Pick], picked: set[str], simulated: frozenset[str]
-) -> list[dict[str, Any]]:
-    units = resources.settings().units
-    views = {view.key: view for view in round_view.graded_round(round_summary).fruit}
+def _lines(round_summary: Round, picks: Sequence[Pick], picked: set[str]) -> list[dict[str, Any]]:
+    units, graded = resources.settings().units, round_view.graded_round(round_summary)
+    views = {view.key: view for view in graded.fruit}
     lines = []
     for pick in picks:
         key = pick.fruit.fruit_id
         view = views.get(key)
         says = [
             f"{position_words(pick.fruit.position_m, units)} {side_words(pick.fruit.side)}".strip(),
-            "" if view is None else length_words(view, units),
+            "" if view is None else today_words(view, graded.today_m.get(key), units),
             pick_words(pick),
             "" if view is None else height_words(view, units),
-            _("computer-made") if key in simulated else "",
+            _("computer-made") if view is not None and view.simulated else "",
         ]
         picture = None if view is None else round_view.thumbnail_of(view)
         picked_now = _is_picked(pick, picked)
@@ -315,7 +299,9 @@ def _undo(number: int) -> None:
 def _work(today: Today, picked: set[str]) -> None:
     if today.forecast is None:
         return
-    unpicked = today.left(picked).of(PickKind.READY)
-    words = page_elements.work_words(work_of(unpicked, resources.settings().rates))
+    rows = [ready_on(today.forecast, row=row, picked=picked) for row in today.forecast.rows]
+    by_class = {name: sum(row.expected[name] for row in rows) for name in today.forecast.pick}
+    hours, crates = work(by_class, [row.fruit for row in rows], resources.settings().rates)
+    words = page_elements.work_words(hours, sum(crates.values()))
     says = _("About {work} at your rates ('Forecast', 'Work and crates'). It is {clock}.")
     st.caption(says.format(work=words, clock=f"{datetime.now():%H:%M}"))

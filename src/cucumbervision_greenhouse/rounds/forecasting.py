@@ -7,17 +7,14 @@ import math
 from collections import defaultdict
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from functools import cached_property
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from cucumbervision.crop.grades import class_of, grade
+from cucumbervision.crop.grades import UNDECIDED, WITHOUT_CLASS, Grade, GradeStatus, class_of, grade
+from cucumbervision.errors import Message
 from cucumbervision.methods.intervals import SCALE_SD
 from cucumbervision.methods.result import UNKNOWN_SD
-from cucumbervision_greenhouse.forecast.forecast import DetectionRates, forecast
-from cucumbervision_greenhouse.forecast.growth import GrowthPrior, Link, fit_growth
-from cucumbervision_greenhouse.forecast.length_draws import FruitState
+from cucumbervision_greenhouse.forecast.forecast import forecast
+from cucumbervision_greenhouse.forecast.growth import FruitState, GrowthPrior, fit_growth
 from cucumbervision_greenhouse.forecast.picking import Pick, PickKind, pick_list
 from cucumbervision_greenhouse.rounds.day_linking import SURE
 from cucumbervision_greenhouse.rounds.from_store import read_round
@@ -31,16 +28,13 @@ if TYPE_CHECKING:
     from cucumbervision.crop.profiles import CropProfile
     from cucumbervision.methods.result import Length
     from cucumbervision_greenhouse.forecast.forecast import Forecast
+    from cucumbervision_greenhouse.forecast.growth import Point
     from cucumbervision_greenhouse.rounds.from_store import RoundContent
     from cucumbervision_greenhouse.store.records import ArtifactRecord, FruitRow, Round
     from cucumbervision_greenhouse.store.repository import Store
 
 
-def detection_rates(table: Sequence[FruitRow]) -> DetectionRates:
-    """Return the share of a round's fruit that have a length: the others are as good as missed."""
-    hanging = [line.known_length for line in table if line.picked_s is None]
-    measured = sum(length is not None for length in hanging)
-    return DetectionRates(measured / len(hanging) if measured else 1.0)
+_UNKNOWN_SD_M = 1e-3  # of a lower bound of 0
 
 
 def shared_scale_sd(artifacts: Iterable[Sequence[ArtifactRecord]]) -> float:
@@ -71,19 +65,36 @@ def shared_scale_sd(artifacts: Iterable[Sequence[ArtifactRecord]]) -> float:
 
 
 def fruit_states(
-    table: Sequence[FruitRow], day: float, profile: CropProfile, picked_before_s: float = math.inf
+    table: Sequence[FruitRow],
+    day: float,
+    profile: CropProfile,
+    *,
+    earlier: Mapping[str, Sequence[Point]] | None = None,
+    picked_before_s: float = math.inf,
 ) -> list[FruitState]:
-    """Return a round's measured fruit as the forecast takes them; picked ones are marked.
+    """Return a round's fruit as the forecast takes them; a fruit without a length is one of any.
 
-    Fruit that were picked at `picked_before_s` or later count as hanging.
+    Parameters
+    ----------
+    table : sequence of FruitRow
+        The fruit; doubtful ones, and those that were picked before `picked_before_s`, are left out.
+    day : float
+        Of the round.
+    profile : CropProfile
+        Its classes.
+    earlier : mapping of str to sequence of (day, length_m, sd_m), optional
+        Earlier lengths of each (`earlier_lengths`).
+    picked_before_s : float
+        Fruit that were picked then or later are marked as picked.
     """
     states = []
     for view in table:
-        length = view.known_length
-        if view.doubtful or length is None or not length.value_m > 0:
+        is_picked = view.picked_s is not None
+        if view.doubtful or (is_picked and (view.picked_s or 0.0) < picked_before_s):
             continue
-        length_m, sd_m = _median_and_sd(length)
-        graded = grade(view, profile)
+        graded, length = grade(view, profile), view.known_length
+        length_m, sd_m = _median_and_sd(length) if length else (0.0, _UNKNOWN_SD_M)
+        is_whole = view.whole_length is not None
         states.append(
             FruitState(
                 fruit_id=view.key,
@@ -94,12 +105,49 @@ def fruit_states(
                 day=day,
                 side=view.side or "",
                 best_class=graded.best_class,
-                picked=view.picked_s is not None and view.picked_s < picked_before_s,
+                picked=is_picked,
                 possible=graded.possible,
-                at_least=view.at_least,
+                at_least=not is_whole,
+                earlier=tuple((earlier or {}).get(view.group, ())) if is_whole else (),
             )
         )
     return states
+
+
+def grades_today(
+    table: Sequence[FruitRow], profile: CropProfile, forecast: Forecast | None
+) -> dict[str, Grade]:
+    """Return the grade of each fruit by its key: today's, with the growth expected since the round.
+
+    Picked and doubtful fruit, and all without a forecast, keep that of their measurement.
+    """
+    grades = {line.key: grade(line, profile) for line in table}
+    columns = (forecast.fruit, forecast.possible) if forecast else ((), ())
+    for state, possible in zip(*columns, strict=True):
+        measured = grades[state.fruit_id]
+        if possible != measured.possible:
+            name = class_of(possible)
+            in_class = GradeStatus.NO_CLASS if name in WITHOUT_CLASS else GradeStatus.IN_CLASS
+            grades[state.fruit_id] = replace(
+                measured,
+                verdict=GradeStatus.UNDECIDED if name == UNDECIDED else in_class,
+                name=name,
+                possible=possible,
+                probabilities={},
+                reason="",
+                rules=(Message("by the growth expected since the round"), *measured.rules),
+            )
+    return grades
+
+
+def lengths_today(forecast: Forecast | None) -> dict[str, float]:
+    """Return the expected lengths today, by key, of whole fruit that were measured earlier."""
+    columns = (forecast.fruit, forecast.length_m.tolist()) if forecast else ((), ())
+    return {
+        state.fruit_id: length_m
+        for state, length_m in zip(*columns, strict=True)
+        if forecast and not state.at_least and state.day < forecast.today
+    }
 
 
 def _median_and_sd(length: Length) -> tuple[float, float]:
@@ -110,81 +158,31 @@ def _median_and_sd(length: Length) -> tuple[float, float]:
     return median_m, max(median_m * math.hypot(*sides) / math.sqrt(2), 1e-3)
 
 
-def growth_links(store: Store, round_key: str, content: RoundContent | None = None) -> list[Link]:
-    """Return the links of growth up to a round: its fruit followed back through earlier rounds.
+def earlier_lengths(store: Store, content: RoundContent) -> dict[str, list[Point]]:
+    """Return the lengths of a round's fruit on earlier days, of all their views, in order.
 
-    Links count that are sure enough (`day_linking.SURE`), and all that were made by hand. Lengths
-    are the fruit's, of all their views (`fruit_table`).
-
-    Parameters
-    ----------
-    store : Store
-        Where the rounds are.
-    round_key : str
-        The round.
-    content : RoundContent, optional
-        What `from_store.read_round` gave of the round, where it was read already.
+    Only links count that are sure enough (`day_linking.SURE`), and all that were made by hand.
     """
-    days = {round_summary.key: round_summary.walked_s / DAY_S for round_summary in store.rounds()}
-    rounds = {round_key: _Measured(content or read_round(store, round_key))}
-    # A fruit has one name in all rounds: the key of the representative view in the last one.
-    names = {key: view.group for key, view in rounds[round_key].views.items()}
-    links: list[Link] = []
-    queue = [round_key]
-    for later in queue:
-        for link in store.links(later, LinkKind.GROWTH):
-            is_known = link.second in rounds[later].views and link.second in names
-            if not is_known or not (link.by_hand or (link.score or 0.0) >= SURE):
+    contents, name_of = [content], {view.group: view.group for view in content.views}
+    for later in contents:
+        for link in store.links(later.key, LinkKind.GROWTH):
+            name = name_of.get(later.group_of.get(link.second, ""))
+            if name is None or not (link.by_hand or (link.score or 0.0) >= SURE):
                 continue
-            home = next((key for key, x in rounds.items() if link.first in x.views), None)
-            # Most fruit are followed to the round before; a season need not be read.
-            unread = [key for key in days if days[key] < days[later] and key not in rounds]
-            while home is None and unread:
-                nearest = max(unread, key=days.__getitem__)
-                unread.remove(nearest)
-                rounds[nearest] = _Measured(read_round(store, nearest))
-                home = nearest if link.first in rounds[nearest].views else None
+            home = next((x for x in contents if link.first in x.group_of), None)
             if home is None:
-                continue
-            name = names[link.second]
-            for key in rounds[home].same_fruit(link.first):
-                names.setdefault(key, name)
-            first, last = rounds[home].fruit(link.first), rounds[later].fruit(link.second)
-            before_m, after_m = first.whole_length, last.whole_length
-            if before_m is not None and after_m is not None and days[home] < days[later]:
-                ends = *_median_and_sd(before_m), days[later], *_median_and_sd(after_m)
-                links.append(Link(name, last.row or "", days[home], *ends))
-            if home not in queue:
-                queue.append(home)
-    return links
-
-
-class _Measured:
-    """A round's views by key, and its fruit with the lengths of all their views."""
-
-    def __init__(self, content: RoundContent) -> None:
-        self.views = {view.key: view for view in content.views}
-        self._content = content
-
-    @cached_property
-    def _groups(self) -> dict[str, list[str]]:
-        groups: dict[str, list[str]] = {}
-        for view in self.views.values():
-            groups.setdefault(view.group, []).append(view.key)
-        return groups
-
-    def same_fruit(self, key: str) -> list[str]:
-        """Return the keys of all views of a view's fruit."""
-        return self._groups[self.views[key].group]
-
-    @cached_property
-    def _table(self) -> dict[str, FruitRow]:
-        return {line.group: line for line in fruit_table(self._content)}
-
-    def fruit(self, key: str) -> FruitRow:
-        """Return the fruit of a view; where it was rejected, its best view."""
-        group = self.views[key].group
-        return self._table.get(group) or self.views.get(group, self.views[key])
+                home = read_round(store, store.detection(link.first).view.round_key)
+                contents.append(home)
+            name_of.setdefault(home.group_of[link.first], name)
+    days = {walk.key: walk.walked_s / DAY_S for walk in store.rounds()}
+    points: dict[str, list[Point]] = defaultdict(list)
+    before = [x for x in contents if days[x.key] < days[content.key]]
+    for earlier in sorted(before, key=lambda x: days[x.key]):
+        for fruit in fruit_table(earlier):
+            if fruit.group in name_of and fruit.whole_length is not None:
+                point = (days[earlier.key], *_median_and_sd(fruit.whole_length))
+                points[name_of[fruit.group]].append(point)
+    return points
 
 
 _FRESH_DAYS, _USEFUL_DAYS = 2, 7
@@ -229,47 +227,15 @@ class Today:
     age : Age
         What it is worth by that.
     forecast : Forecast, optional
-        Of today alone; None where the round is too old.
+        Of today alone, with the fruit that were picked today; None where the round is too old.
     rows : tuple of RowPicks
         What is to be picked, in the order of the walk; fruit picked today are still in it.
-    best : mapping of str to str
-        The representative view of each fruit, by the keys of all views.
-    simulated : frozenset of str
-        Views of simulated captures.
     """
 
     age_days: int
     age: Age
     forecast: Forecast | None
     rows: tuple[RowPicks, ...]
-    best: Mapping[str, str]
-    simulated: frozenset[str] = frozenset()
-
-    def of(self, kind: PickKind) -> tuple[Pick, ...]:
-        """Return all fruit of the pick list of a kind."""
-        return tuple(pick for row in self.rows for pick in row.of(kind))
-
-    def left(self, picked: set[str]) -> Today:
-        """Return a copy without the fruit of these keys, which were picked meanwhile."""
-        rows = [
-            RowPicks(row.row, tuple(p for p in row.picks if p.fruit.fruit_id not in picked))
-            for row in self.rows
-        ]
-        return replace(self, rows=tuple(row for row in rows if row.picks))
-
-    def by_class(self) -> dict[str, dict[str, int]]:
-        """Return how many fruit are on the pick list, by row and class.
-
-        Those that may be ready and too long ones are classes of their own; one that no row has is
-        left out.
-        """
-        counts: dict[str, dict[str, int]] = {}
-        for row in self.rows:
-            of_class = counts.setdefault(row.row, {})
-            for pick in row.picks:
-                name = pick.name if pick.kind is PickKind.READY else str(pick.kind)
-                of_class[name] = of_class.get(name, 0) + 1
-        return counts
 
 
 def midnight_s(now_s: float) -> float:
@@ -301,14 +267,12 @@ def forecast_today(
     content: RoundContent | None = None,
     *,
     days: int = 7,
-    picked_before_s: float = math.inf,
 ) -> Forecast:
-    """Forecast a round from today on: growth from its links, classes from a profile.
+    """Forecast a round from today on: growth from its fruit, classes from a profile.
 
-    Today's numbers are those of the fruit as they are counted everywhere.
-    Later fruit without a length are allowed for (`detection_rates`), and the error that all lengths
-    share (`shared_scale_sd`). For a round that is too old for a forecast of today, day 0 is the day
-    of its walk.
+    The error that all lengths share is allowed for (`shared_scale_sd`). For a round that is too old
+    for a forecast of today, day 0 is the day of its walk. Fruit that were picked today are in no
+    count, so that those left keep their probabilities while they are ticked off.
 
     Parameters
     ----------
@@ -316,46 +280,23 @@ def forecast_today(
         As `read_today` takes them.
     days : int
         Days ahead; 0 for today alone.
-    picked_before_s : float
-        Fruit that were picked later than that still count, as on the morning of a day.
     """
     content = content or read_round(store, round_summary.key)
-    table = fruit_table(content)
-    result = forecast(
-        fruit_states(table, round_summary.walked_s / DAY_S, profile, picked_before_s),
-        fit_growth(growth_links(store, round_summary.key, content), GrowthPrior.of(profile)),
+    fruit = fruit_states(
+        fruit_table(content),
+        round_summary.walked_s / DAY_S,
+        profile,
+        earlier=earlier_lengths(store, content),
+        picked_before_s=midnight_s(now_s),
+    )
+    return forecast(
+        fruit,
+        fit_growth(fruit, GrowthPrior.of(profile)),
         profile,
         days,
         today=day_0_s(round_summary, now_s) / DAY_S,
-        detection=detection_rates(table),
         scale_sd=shared_scale_sd(stop.artifacts for stop in content.stops),
     )
-    _count_today(result)
-    return result
-
-
-def _count_today(result: Forecast) -> None:
-    """Make the numbers of today those of its fruit, each counted in its class.
-
-    The undecided are in no class. The ranges hold these numbers, and reach as far as the forecast's
-    for undecided, missed and mistaken fruit; of what is ready today they are the same.
-    """
-    counted = np.zeros(result.by_row.expected[:, 0].shape)
-    index_of = {row: index for index, row in enumerate(result.rows)}
-    for state, possible in zip(result.fruit, result.possible, strict=True):
-        name = class_of(possible)
-        if name in result.classes:
-            counted[index_of[state.row], result.classes.index(name)] += 1
-    picked = np.isin(result.classes, result.pick)
-    for standing, ready, number in (
-        (result.by_row, result.row_picks, counted),
-        (result.house, result.picks, counted.sum(axis=0)),
-    ):
-        standing.expected[..., 0, :] = number
-        np.minimum(standing.low[..., 0, :], number, out=standing.low[..., 0, :])
-        np.maximum(standing.high[..., 0, :], number, out=standing.high[..., 0, :])
-        for name in ("expected", "low", "high"):
-            getattr(ready, name)[..., 0, picked] = getattr(standing, name)[..., 0, picked]
 
 
 def day_0_s(round_summary: Round, now_s: float) -> float:
@@ -396,22 +337,10 @@ def read_today(
         What `from_store.read_round` gave of the round, where it was read already.
     """
     days, age = age_of(round_summary.walked_s, now_s)
-    content = content or read_round(store, round_summary.key)
-    best = content.group_of
     if age is Age.USELESS:
-        return Today(age_days=days, age=age, forecast=None, rows=(), best=best)
-    result = forecast_today(
-        store, round_summary, profile, now_s, content, days=0, picked_before_s=midnight_s(now_s)
-    )
-    simulated = frozenset(view.key for view in content.views if view.simulated)
-    return Today(
-        age_days=days,
-        age=age,
-        forecast=result,
-        rows=_by_row(pick_list(result)),
-        best=best,
-        simulated=simulated,
-    )
+        return Today(days, age, None, ())
+    result = forecast_today(store, round_summary, profile, now_s, content, days=0)
+    return Today(days, age, result, _by_row(pick_list(result)))
 
 
 def _by_row(picks: Sequence[Pick]) -> tuple[RowPicks, ...]:

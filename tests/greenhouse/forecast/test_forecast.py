@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
+from cucumbervision.crop.grades import NO_CLASS
 from cucumbervision.crop.profiles import load_profile
-from cucumbervision_greenhouse.forecast.forecast import DetectionRates, Forecast, forecast
-from cucumbervision_greenhouse.forecast.growth import GrowthPrior, Link, Spreads, fit_growth
-from cucumbervision_greenhouse.forecast.length_draws import FruitState
+from cucumbervision_greenhouse.forecast.forecast import Forecast, forecast
+from cucumbervision_greenhouse.forecast.growth import FruitState, GrowthPrior, Spreads, fit_growth
 
 LONG = load_profile("long-cucumber")
 PRIOR = replace(GrowthPrior.of(LONG), full_m=(np.inf,))
@@ -83,26 +83,29 @@ def test_scale_error_is_shared_and_not_counted_twice() -> None:
     assert mean == pytest.approx(0.5, abs=0.1)
 
 
-def test_missed_and_invented_fruit_move_the_count() -> None:
-    fruit = fruit_of(0.30, 500)
-    half = steadily(fruit, detection=DetectionRates(found=0.5)).house
-    assert half.expected[0, 0] == pytest.approx(1000, rel=0.01)
-    # Negative binomial: variance n (1 - q) / q^2 = 1000.
-    assert half.high[0, 0] - half.low[0, 0] == pytest.approx(2 * 1.2816 * 1000**0.5, rel=0.12)
-    fewer = steadily(fruit, detection=DetectionRates(false=0.1)).house
-    assert fewer.expected[0, 0] == pytest.approx(450, rel=0.01)
-    # What is invented hides no missed fruit: 500 (1 - 0.4) / 0.5.
-    both = steadily(fruit, detection=DetectionRates(found=0.5, false=0.4), draws=2000).house
-    assert both.expected[0, 0] == pytest.approx(600, rel=0.01)
+def test_a_fruit_of_which_part_is_seen_resembles_those_that_are_longer() -> None:
+    whole = fruit_of(0.22, 6) + fruit_of(0.30, 3, row="2")
+    bound = FruitState("b", "3", 0.0, 0.10, 1e-6, at_least=True)
+    unknown = replace(bound, fruit_id="u", length_m=0.0)
+    long = replace(bound, fruit_id="l", length_m=0.25)
+    found = steadily([*whole, bound, unknown, long], draws=3000)
+    ready = {f.fruit_id: p for f, p in zip(found.fruit, found.ready().tolist(), strict=True)}
+    assert (ready["b"], ready["u"]) == pytest.approx((1 / 3, 1 / 3), abs=0.03)
+    assert ready["l"] == 1.0
+    assert found.house.expected[0].sum() == len(whole) + 3
+
+
+def test_a_fruit_that_no_class_allows_is_in_no_count() -> None:
+    light = replace(fruit_of(0.30)[0], possible=(NO_CLASS,))
+    found = steadily([light, *fruit_of(0.30, 2, row="2")])
+    assert found.house.expected[0].tolist() == [2, 0, 0, 0]
+    assert found.ready().tolist() == [0, 1, 1]
 
 
 def test_own_links_tell_fast_fruit_from_slow() -> None:
-    now = [FruitState(f, "1", 0.0, 0.20, 0.002, day=2) for f in ("fast", "slow", "unknown")]
-    links = [
-        Link("fast", "1", 0, 0.12, 0.002, 2, 0.20, 0.002),
-        Link("slow", "1", 0, 0.16, 0.002, 2, 0.20, 0.002),
-    ]
-    found = forecast(now, fit_growth(links, PRIOR), LONG)
+    before = {"fast": ((0, 0.12, 0.002),), "slow": ((0, 0.16, 0.002),), "unknown": ()}
+    now = [FruitState(f, "1", 0.0, 0.20, 0.002, 2, earlier=before[f]) for f in before]
+    found = forecast(now, fit_growth(now, PRIOR), LONG)
     at = {f.fruit_id: p for f, p in zip(found.fruit, found.probability, strict=True)}
     ready = {name: float(p[2, 0]) for name, p in at.items()}
     assert ready["fast"] > ready["unknown"] > ready["slow"]
@@ -126,11 +129,13 @@ def test_crooked_fruit_stay_in_the_class_their_shape_allows() -> None:
     assert found.picks.expected.sum() == 0
 
 
-def test_picked_fruit_leave_the_forecast() -> None:
-    fruit = fruit_of(0.30, 3)
-    left = steadily([replace(one, picked=one.fruit_id == "1-1") for one in fruit])
-    assert [f.fruit_id for f in left.fruit] == ["1-0", "1-2"]
-    assert left.house.expected[0, 0] == 2
+def test_picked_fruit_leave_the_counts_and_nothing_else_changes() -> None:
+    fruit = fruit_of(0.25, 3, sd_m=0.01) + fruit_of(0.25, 1, sd_m=0.01, row="2")
+    all_fruit = steadily(fruit)
+    left = steadily([replace(x, picked=x.fruit_id in {"1-1", "2-0"}) for x in fruit])
+    np.testing.assert_array_equal(left.probability, all_fruit.probability)
+    assert left.house.expected[0].sum() == 2
+    assert left.picks.expected[0, 0] == pytest.approx(left.ready()[[0, 2]].sum())
 
 
 def test_rows_add_up_to_the_house_and_come_in_walking_order() -> None:
@@ -143,13 +148,6 @@ def test_rows_add_up_to_the_house_and_come_in_walking_order() -> None:
     assert (found.house.low <= found.house.high).all()
     # Every fruit becomes ready once at most, unless it grows through all of class I in a day.
     assert found.picks.expected.sum() <= 50
-
-
-def test_same_seed_same_forecast() -> None:
-    fruit = fruit_of(0.23, 20, 0.004)
-    one, two, three = (forecast(fruit, UNSEEN, LONG, seed=s) for s in (1, 1, 2))
-    np.testing.assert_array_equal(one.probability, two.probability)
-    assert (one.probability != three.probability).any()
 
 
 def test_complete_says_how_far_the_fruit_seen_suffice() -> None:
@@ -165,18 +163,19 @@ def test_empty_house_is_no_error() -> None:
     found = forecast([], UNSEEN, LONG)
     assert found.house.expected.sum() == 0
     assert found.rows == ()
-    assert found.ready.shape == (0,)
+    assert found.ready().shape == (0,)
 
 
 def test_three_thousand_fruit_take_less_than_a_second_of_a_core() -> None:
     lengths = np.random.default_rng(0).uniform(0.05, 0.35, 3000)
     rows = [str(k % 20) for k in range(3000)]
-    links = [
-        Link(str(k), rows[k], 0, max(lengths[k] - 0.06, 0.01), 0.005, 2, lengths[k], 0.005)
-        for k in range(500)
+    before = [((0, max(length - 0.06, 0.01), 0.005),) for length in lengths[:500]]
+    fruit = [
+        FruitState(str(k), rows[k], 0.1 * k, length, 0.005, 2, at_least=k > 2700)
+        for k, length in enumerate(lengths)
     ]
-    fruit = [FruitState(str(k), rows[k], 0.1 * k, lengths[k], 0.005, 2) for k in range(3000)]
-    growth = fit_growth(links, PRIOR)
+    fruit[:500] = [replace(x, earlier=y) for x, y in zip(fruit, before, strict=False)]
+    growth = fit_growth(fruit, PRIOR)
     spent = []
     for _ in range(2):
         start = time.process_time()

@@ -7,9 +7,8 @@ import pytest
 
 from cucumbervision.crop.profiles import load_profile
 from cucumbervision_greenhouse.forecast.forecast import Forecast, forecast
-from cucumbervision_greenhouse.forecast.growth import GrowthPrior, fit_growth
-from cucumbervision_greenhouse.forecast.length_draws import FruitState
-from cucumbervision_greenhouse.forecast.picking import PickKind, pick_list, work_of
+from cucumbervision_greenhouse.forecast.growth import FruitState, GrowthPrior, fit_growth
+from cucumbervision_greenhouse.forecast.picking import PickKind, pick_list, plan_work, ready_on
 
 LONG = load_profile("long-cucumber")
 FRUIT = [
@@ -37,7 +36,24 @@ def test_list_is_in_walking_order_with_fruit_too_long_in_it() -> None:
     ]
     assert picks[3].possible == ("II", "I")
     assert 0.35 < picks[3].ready < 0.65
-    assert work_of(picks).fruit == 3
+
+
+def test_what_is_ready_is_the_sum_of_the_probabilities_on_each_day() -> None:
+    today = found(FRUIT)
+    ready = ready_on(today)
+    assert ready.fruit == pytest.approx(today.ready().sum())
+    assert (ready.sure, ready.may_be, ready.too_long) == (3, 1, 1)
+    assert 3.3 < ready.fruit < 3.7
+    assert plan_work(today)[0].fruit.expected == pytest.approx(ready.fruit)
+    rows = [ready_on(today, row=row) for row in today.rows]
+    assert sum(row.fruit for row in rows) == pytest.approx(ready.fruit)
+    left = ready_on(today, picked={"a", "f"})
+    assert (left.sure, left.may_be) == (2, 0)
+    for day in range(8):
+        later = ready_on(today, day)
+        assert later.expected["I"] == pytest.approx(today.house.expected[day, 0])
+        assert later.sure <= later.fruit + 0.05 * len(FRUIT)
+        assert later.fruit <= later.sure + later.may_be + 0.05 * len(FRUIT)
 
 
 @pytest.mark.parametrize("today", [0.0, 1.0])
@@ -65,8 +81,3 @@ def test_what_a_grade_decided_stands_on_its_day_and_grows_afterwards() -> None:
     later = forecast([replace(state, sd_m=0.003), bound], growth, LONG, today=2.0)
     # About 30 cm, by the profile's growth.
     assert later.possible == (("I",), ("I", "too long"))
-
-
-def test_picked_fruit_are_not_listed_again() -> None:
-    left = [replace(one, picked=one.fruit_id in {"b", "e"}) for one in FRUIT]
-    assert [p.fruit.fruit_id for p in pick_list(found(left))] == ["c", "f", "a"]

@@ -4,8 +4,7 @@ import pytest
 
 from cucumbervision.crop.profiles import load_profile
 from cucumbervision_greenhouse.forecast.forecast import forecast
-from cucumbervision_greenhouse.forecast.growth import GrowthPrior, Spreads, fit_growth
-from cucumbervision_greenhouse.forecast.length_draws import FruitState
+from cucumbervision_greenhouse.forecast.growth import FruitState, GrowthPrior, Spreads, fit_growth
 from cucumbervision_greenhouse.forecast.picking import Rates, plan_work
 
 LONG = load_profile("long-cucumber")

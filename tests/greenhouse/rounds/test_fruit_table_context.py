@@ -7,7 +7,7 @@ import pytest
 
 from cucumbervision.crop.profiles import load_profile
 from cucumbervision.methods.result import Length
-from cucumbervision_greenhouse.rounds.forecasting import detection_rates, fruit_states
+from cucumbervision_greenhouse.rounds.forecasting import fruit_states
 from cucumbervision_greenhouse.rounds.from_store import read_round
 from cucumbervision_greenhouse.rounds.fruit_table import (
     fruit_table,
@@ -90,5 +90,5 @@ def test_unknown_lengths_count_in_no_figure_of_a_round_nor_its_forecast(tmp_path
     assert (figures.shortest_m, figures.longest_m) == (0.30, 0.32)
     assert figures.mean_m == pytest.approx(0.31)
     states = fruit_states(table, 0.0, load_profile("long-cucumber"))
-    assert sorted(state.length_m for state in states) == [0.10, 0.30, 0.32]
-    assert detection_rates(table).found == 0.75
+    lengths = [(state.length_m, state.at_least) for state in states]
+    assert sorted(lengths) == [(0.0, True), (0.10, True), (0.30, False), (0.32, False)]

@@ -7,18 +7,16 @@ import numpy as np
 import pytest
 from tests.simulated_rows import SimulatedRow, Walk, grow_plants, simulate_row, walk
 
-from cucumbervision.crop.grades import UNDECIDED, class_of
 from cucumbervision.crop.profiles import load_profile
 from cucumbervision.errors import RoundError
 from cucumbervision.methods.result import Length, LengthDefinition
-from cucumbervision_greenhouse.forecast.forecast import DetectionRates, Forecast, forecast
-from cucumbervision_greenhouse.forecast.growth import GrowthPrior, fit_growth
-from cucumbervision_greenhouse.forecast.picking import pick_list
+from cucumbervision_greenhouse.forecast.forecast import Forecast
+from cucumbervision_greenhouse.forecast.picking import pick_list, ready_on
 from cucumbervision_greenhouse.rounds import forecasting
 from cucumbervision_greenhouse.rounds.forecasting import (
+    earlier_lengths,
     forecast_today,
     fruit_states,
-    growth_links,
     shared_scale_sd,
 )
 from cucumbervision_greenhouse.rounds.from_store import RoundContent, find_round, read_round
@@ -107,47 +105,33 @@ def test_growth_is_linked_and_forecast(store: Store, row: Walk, save_walk: Save)
     [found] = link_rounds(store, MORNING, NEXT.key)
     assert found.shift_m == pytest.approx(0.2, abs=0.04)
     assert found.sure > 5
-    links = growth_links(store, NEXT.key)
-    assert len(links) == found.sure
-    grown = np.median([link.length1_m - link.length0_m for link in links])
-    assert 0.02 < grown < 0.04
-    assert {link.fruit_id for link in links} <= {v.group for v in store.detections(NEXT.key)}
+    content = read_round(store, NEXT.key)
+    before, table = earlier_lengths(store, content), fruit_table(content)
+    assert 5 < len(before) <= found.sure
+    states = fruit_states(table, 2.0, LONG, earlier=before)
+    grown = [state.length_m - state.earlier[0][1] for state in states if state.earlier]
+    assert 0.02 < np.median(grown) < 0.04
     # Each has the length that the list of fruit gives it, by all its views.
-    table = fruit_table(read_round(store, NEXT.key))
-    listed = {state.fruit_id: state.length_m for state in fruit_states(table, 0.0, LONG)}
-    assert {link.fruit_id: link.length1_m for link in links}.items() <= listed.items()
     by_one_view = {view.key: view.length_m for view in store.detections(NEXT.key)}
     assert any(by_one_view[line.key] != line.length_m for line in table)
     said = forecast_of(store, NEXT.key, days=2)
-    # Today the fruit that were found and are in one class; later all that were found.
-    decided = [name for name in map(class_of, said.possible) if name != UNDECIDED]
-    assert len(decided) > 10
-    assert said.house.expected[0].tolist() == [decided.count(name) for name in said.classes]
-    assert said.house.expected[1].sum() == pytest.approx(len(table), rel=0.02)
+    assert said.growth.fruit > 5
+    # Each fruit counts on each day, whether its class is decided or not.
+    np.testing.assert_allclose(said.house.expected.sum(axis=1), len(table))
 
 
-def test_the_forecast_holds_the_doubts_of_detection_and_depth_scale(store: Store) -> None:
+def test_a_fruit_without_a_length_counts_as_one_like_the_others(store: Store) -> None:
     fruit = [FruitRow(k, length=Length(0.25, KIND, 0.24, 0.26, KIND)) for k in (1, 2, 3, 4)]
     fruit[1] = FruitRow(2)  # found, and not measured
     captures = (CaptureRecord("a", fruit=tuple(fruit)),)
     store.save_stop(StopRecord(key_of("only"), MORNING, row="1", captures=captures))
-    table = fruit_table(read_round(store, MORNING))
-    # Three in four have a length. The scale is 1 % unsure.
-    expected = forecast(
-        fruit_states(table, 1.0, LONG),
-        fit_growth([], GrowthPrior.of(LONG)),
-        LONG,
-        2,
-        detection=DetectionRates(0.75),
-        scale_sd=0.01,
-    )
     found = forecast_of(store, MORNING, days=2)
-    np.testing.assert_allclose(found.house.expected[1:], expected.house.expected[1:])
-    np.testing.assert_allclose(found.house.high[1:], expected.house.high[1:])
-    assert found.house.expected[1].sum() == pytest.approx(4, rel=0.05)
-    # 25 cm, give or take 1: of class II or I, and counted in neither.
-    assert found.house.expected[0].sum() == 0
-    assert found.house.high[0, :2].tolist() == expected.house.high[0, :2].tolist()
+    np.testing.assert_allclose(found.house.expected.sum(axis=1), 4)
+    # 25 cm, give or take 1, with a scale that is 1 % unsure: each class I or II.
+    ready = ready_on(found)
+    assert (ready.sure, ready.may_be) == (0, 4)
+    assert 1.5 < ready.fruit < 2.5
+    assert found.ready() == pytest.approx([0.5] * 4, abs=0.15)
 
 
 def test_a_measured_depth_scale_narrows_what_all_lengths_share() -> None:
@@ -189,19 +173,21 @@ def test_growth_is_followed_through_three_rounds_and_no_other_is_read(
 
     save_link(keys[0], keys[1])
     save_link(keys[1], keys[2])
-    links = growth_links(store, keys[2][0])
-    assert sorted((link.day0, link.day1) for link in links) == [(2.0, 3.0), (3.0, 4.0)]
-    assert {link.fruit_id for link in links} == {keys[2][1]}
-    assert days_read == [key for key, _ in keys[::-1]]
+    content = read_round(store, keys[2][0])
+    [(name, points)] = earlier_lengths(store, content).items()
+    assert (name, [day for day, *_ in points]) == (keys[2][1], [2.0, 3.0])
+    assert days_read == [keys[1][0], keys[0][0]]
 
 
-def test_picked_fruit_leave_list_and_forecast(store: Store, row: Walk) -> None:
+def test_picked_fruit_leave_list_and_counts(store: Store, row: Walk) -> None:
     del row
-    picks = pick_list(forecast_of(store, MORNING, days=0))
-    assert picks
-    store.pick([picks[0].fruit.fruit_id])
-    left = {pick.fruit.fruit_id for pick in pick_list(forecast_of(store, MORNING, days=0))}
-    assert left == {pick.fruit.fruit_id for pick in picks[1:]}
+    before = forecast_of(store, MORNING, days=0)
+    first, *others = pick_list(before)
+    store.pick([first.fruit.fruit_id], at_s=0.0)
+    after = forecast_of(store, MORNING, days=0)
+    assert first.fruit.fruit_id not in {fruit.fruit_id for fruit in after.fruit}
+    assert len(pick_list(after)) == len(others)
+    assert ready_on(after).sure == ready_on(before, picked={first.fruit.fruit_id}).sure
 
 
 def test_three_sides_are_refused(store: Store, save_walk: Save) -> None:

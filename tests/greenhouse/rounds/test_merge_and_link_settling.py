@@ -9,7 +9,8 @@ from tests.simulated_rows import SimulatedRow, simulate_row
 
 from cucumbervision.capture.frames import Stop
 from cucumbervision.errors import RoundError
-from cucumbervision_greenhouse.rounds.forecasting import growth_links
+from cucumbervision_greenhouse.rounds.forecasting import earlier_lengths
+from cucumbervision_greenhouse.rounds.from_store import read_round
 from cucumbervision_greenhouse.rounds.merge_and_link import (
     delete_round,
     earlier_rounds,
@@ -180,5 +181,6 @@ def test_days_are_those_of_the_captures_whenever_a_round_was_begun(
     pairs = linked(store, earlier, later)
     assert len(pairs) == 12
     # Growth is that of one day, 3 cm, not of the second between two presses of 'New round'.
-    links = growth_links(store, later)
-    assert {round(link.day1 - link.day0, 3) for link in links} == {1.0}
+    before = earlier_lengths(store, read_round(store, later))
+    day = (morning_s + 86400.0) / 86400.0
+    assert {round(day - point[0], 3) for points in before.values() for point in points} == {1.0}

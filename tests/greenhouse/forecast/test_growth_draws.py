@@ -1,19 +1,18 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from cucumbervision_greenhouse.forecast.growth import (
     Curve,
+    FruitState,
     Growth,
     GrowthPrior,
-    Link,
     Spreads,
-    fit_growth,
-)
-from cucumbervision_greenhouse.forecast.length_draws import (
-    FruitState,
     draw_lengths,
+    fit_growth,
     fruit_lines,
     lengths_today,
 )
@@ -22,9 +21,9 @@ SPREADS = Spreads(0.008, 0.002, 0.005, 0.003, 0.003)
 PRIOR = GrowthPrior(0.03, SPREADS, shortest_m=0.05)
 
 
-def known(mean_m: float, links: tuple[Link, ...] = ()) -> Growth:
+def known(mean_m: float) -> Growth:
     """Return a house whose growth is known."""
-    return Growth(PRIOR, links, (Curve(np.inf, mean_m, 0.0, 0.005),))
+    return Growth(PRIOR, (Curve(np.inf, mean_m, 0.0, 0.005),))
 
 
 def drawn(fruit: list[FruitState], growth: Growth, today: float, days: int = 7) -> np.ndarray:
@@ -36,12 +35,9 @@ def test_line_is_the_joint_normal_posterior() -> None:
     """Held against the normal equations of a length and a growth, the house a measurement."""
     days, sd_m = np.array([0.0, 2.0, 3.0]), np.array([0.004, 0.005, 0.006])
     lengths_m, house_m = np.array([0.15, 0.20, 0.245]), 0.035
-    links = (
-        Link("a", "1", 0.0, 0.15, 0.004, 2.0, 0.20, 0.005),
-        Link("a", "1", 2.0, 0.20, 0.005, 3.0, 0.245, 0.006),
-    )
-    growth = known(0.03, links)
-    fruit = [FruitState("a", "1", 0.0, 0.245, 0.006, 3.0)]
+    earlier = ((0.0, 0.15, 0.004), (2.0, 0.20, 0.005))
+    growth = known(0.03)
+    fruit = [FruitState("a", "1", 0.0, 0.245, 0.006, 3.0, earlier=earlier)]
     lines = fruit_lines(fruit, growth, growth.curves[0], 0.0)
     design = np.array([[1, -3], [1, -1], [1, 0], [0, 1]])
     daily = 0.003**2 + 0.003**2
@@ -63,16 +59,14 @@ def test_fruit_seen_once_grow_like_their_house() -> None:
 
 @pytest.mark.parametrize("scale_sd", [0.0, 0.01])
 def test_drawn_lengths_have_the_mean_and_deviation_of_today(scale_sd: float) -> None:
-    links = [
-        Link("a", "1", 0, 0.11, 0.004, 2, 0.20, 0.004),
-        *(Link(f"{k}", "1", 0, 0.15, 0.004, 2, 0.23, 0.004) for k in range(6)),
-    ]
-    growth = fit_growth(links, PRIOR)
     fruit = [
-        FruitState("a", "1", 0.0, 0.20, 0.004, 2),
+        FruitState("a", "1", 0.0, 0.20, 0.004, 2, earlier=((0, 0.11, 0.004),)),
         FruitState("b", "1", 0.0, 0.18, 0.006, 2),
         FruitState("c", "2", 0.0, 0.18, 0.006, 2),
     ]
+    before = ((0, 0.15, 0.004),)
+    others = [FruitState(str(k), "1", 0.0, 0.23, 0.004, 2, earlier=before) for k in range(6)]
+    growth = fit_growth([*fruit, *others], PRIOR)
     mean_m, sd_m = lengths_today(fruit, growth, 5.0, scale_sd)
     rng = np.random.default_rng(1)
     lengths_m = draw_lengths(fruit, growth, 5.0, 0, 20000, scale_sd, rng, 0.05)[0][0]
@@ -83,32 +77,27 @@ def test_drawn_lengths_have_the_mean_and_deviation_of_today(scale_sd: float) -> 
 
 def test_measured_shrinking_is_no_shrinking() -> None:
     # 21 cm, two days later 19 cm: 20 ± 1 cm both times, and slow.
-    links = (Link("a", "1", 0, 0.21, 0.008, 2, 0.19, 0.008),)
-    fruit = [FruitState("a", "1", 0.0, 0.19, 0.008, 2.0)]
-    growth = known(0.03, links)
-    lengths_m = drawn(fruit, growth, 2.0)
+    fruit = [FruitState("a", "1", 0.0, 0.19, 0.008, 2.0, earlier=((0, 0.21, 0.008),))]
+    lengths_m = drawn(fruit, known(0.03), 2.0)
     assert (np.diff(lengths_m[:, :, 0], axis=0) >= 0).all()
     assert 0.195 < lengths_m[0].mean() < 0.21
-    usual_m = drawn(fruit, known(0.03), 2.0)
+    usual_m = drawn([replace(fruit[0], earlier=())], known(0.03), 2.0)
     grown_m = (lengths_m[7] - lengths_m[0]).mean()
     assert 0.1 < grown_m < (usual_m[7] - usual_m[0]).mean() - 0.01
 
 
 def test_same_day_measured_twice_is_their_weighted_mean() -> None:
-    links = (
-        Link("a", "1", 0, 0.14, 0.012, 2, 0.20, 0.004),
-        Link("a", "1", 0, 0.15, 0.010, 2, 0.20, 0.004),
-    )
-    fruit = [FruitState("a", "1", 0.0, 0.20, 0.004, 2.0)]
-    curve = known(0.03).curves[0]
-    twice = fruit_lines(fruit, known(0.03, links), curve, 0.0)
+    fruit = FruitState("a", "1", 0.0, 0.20, 0.004, 2.0)
+    twice = replace(fruit, earlier=((0, 0.14, 0.012), (0, 0.15, 0.010)))
     daily = 2 * (0.003**2 + 0.003**2)
     weights = 1 / (np.array([0.012, 0.010]) ** 2 + daily)
     pooled_m, pooled_sd = float(np.average([0.14, 0.15], weights=weights)), weights.sum() ** -0.5
-    link = Link("a", "1", 0, pooled_m, float((pooled_sd**2 - daily) ** 0.5), 2, 0.20, 0.004)
-    once = fruit_lines(fruit, known(0.03, (link,)), curve, 0.0)
-    np.testing.assert_allclose(twice.growth_m, once.growth_m)
-    np.testing.assert_allclose(twice.covariance, once.covariance)
+    once = replace(fruit, earlier=((0, pooled_m, float((pooled_sd**2 - daily) ** 0.5)),))
+    both, pooled = (
+        fruit_lines([x], known(0.03), known(0.03).curves[0], 0.0) for x in (twice, once)
+    )
+    np.testing.assert_allclose(both.growth_m, pooled.growth_m)
+    np.testing.assert_allclose(both.covariance, pooled.covariance)
 
 
 def test_days_without_a_round_widen_today() -> None:
@@ -131,7 +120,7 @@ def test_today_does_not_depend_on_the_days_ahead() -> None:
 
 
 def test_growth_that_slows_never_passes_the_full_length() -> None:
-    growth = Growth(PRIOR, (), (Curve(0.40, 0.03, 0.0, 0.005),))
+    growth = Growth(PRIOR, (Curve(0.40, 0.03, 0.0, 0.005),))
     lengths_m = drawn([FruitState("a", "1", 0.0, 0.30, 0.001)], growth, 0.0, days=30)
     # From 30 cm the distance to 40 cm falls by 2 * 3 / 40 a day.
     assert lengths_m[1].mean() == pytest.approx(0.40 - 0.10 * np.exp(-0.15), abs=0.0005)
@@ -139,8 +128,8 @@ def test_growth_that_slows_never_passes_the_full_length() -> None:
 
 
 def test_curves_are_drawn_by_their_weights() -> None:
-    curves = Curve(0.40, 0.03, 0.0, 1e-6, 0.25), Curve(np.inf, 0.03, 0.0, 1e-6, 0.75)
-    growth = Growth(PRIOR, (), curves)
+    curves = (Curve(0.40, 0.03, 0.0, 1e-6, 0.25, 0.25), Curve(np.inf, 0.03, 0.0, 1e-6, 0.75, 0.75))
+    growth = Growth(PRIOR, curves)
     fruit = [FruitState("a", "1", 0.0, 0.30, 1e-6, 1.0)]
     lengths_m = drawn(fruit, growth, 3.0)[0, :, 0]
     mean_m, sd_m = lengths_today(fruit, growth, 3.0, 0.0)

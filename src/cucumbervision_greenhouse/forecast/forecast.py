@@ -175,7 +175,9 @@ def forecast(
     row_of = [f.row for f in states]
     rows = tuple(dict.fromkeys(row_of))
     spans = list(pairwise([*(row_of.index(row) for row in rows), len(states)]))
-    shares, standing, picked = [], [], []
+    shares: list[NDArray[np.float64]] = []
+    standing: list[NDArray[np.int64]] = []
+    picked: list[NDArray[np.int64]] = []
     for k in range(len(profile.outcomes)):
         members = class_of_draw == k
         shares.append(np.stack([share @ of_day for of_day in members]).round(9))

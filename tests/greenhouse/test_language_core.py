@@ -16,7 +16,7 @@ from cucumbervision.crop.profiles import load_profile, profiles
 from cucumbervision.errors import CucumberVisionError, Message
 from cucumbervision.methods.flags import FLAGS, Flag, data_doubts
 from cucumbervision.methods.result import Length
-from cucumbervision.run.summary import Summary
+from cucumbervision.run.tables import Summary
 from cucumbervision_greenhouse import language
 from cucumbervision_greenhouse.language import ON_PAGES, words_of
 from cucumbervision_greenhouse.uploads import UploadOutcome

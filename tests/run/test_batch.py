@@ -28,7 +28,7 @@ from cucumbervision.run.batch import (
     measure_all,
 )
 from cucumbervision.run.inputs import Listed, list_captures
-from cucumbervision.run.measurer import CaptureResult, Failure, Measurer
+from cucumbervision.run.measurer import Failure, Measurer
 from cucumbervision.run.options import MeasureOptions
 from cucumbervision.run.whole_run import BatchOptions, measure_inputs
 
@@ -110,9 +110,8 @@ class Killing:
 class Names(Worker[str]):
     """Makes of each result its capture's name."""
 
-    def make(self, result: CaptureResult, content: str) -> Outcome[str]:
-        assert content == ""
-        return Outcome(result.capture.name)
+    def measure(self, capture: Capture) -> Outcome[str]:
+        return Outcome(capture.name)
 
 
 @pytest.mark.parametrize("engine", [in_turn, in_process, Processes(2)])

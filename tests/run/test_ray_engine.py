@@ -13,9 +13,10 @@ from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import CucumberVisionError, DiskFullError
 from cucumbervision.methods.result import MethodName
 from cucumbervision.run import whole_run as run
-from cucumbervision.run.batch import Item, Outcome, choose_engine
+from cucumbervision.run.batch import Item, Outcome
 from cucumbervision.run.inputs import Listed
 from cucumbervision.run.options import MeasureOptions
+from cucumbervision.run.ray_engine import RayEngine
 from cucumbervision.run.whole_run import BatchOptions, FolderWorker, measure_inputs
 
 pytest.importorskip("ray")
@@ -27,7 +28,7 @@ pytestmark = pytest.mark.filterwarnings("ignore")
 
 def test_rows_are_those_of_one_process_in_the_same_order(tmp_path: Path) -> None:
     inputs = [example_captures(), tmp_path / "missing"]
-    engine = choose_engine(1, "local")
+    engine = RayEngine("local", 1)
     tables: list[list[bytes]] = []
     for batch in (BatchOptions(), BatchOptions(engine=engine)):
         out = tmp_path / f"out{len(tables)}"
@@ -43,10 +44,7 @@ def test_what_cannot_be_loaded_is_said(tmp_path: Path) -> None:
     options = MeasureOptions(instances="models", segmenter="none", pose=tmp_path / "no.onnx")
     with pytest.raises(CucumberVisionError, match=r"no\.onnx: "):
         measure_inputs(
-            [example_captures()],
-            tmp_path,
-            options,
-            batch=BatchOptions(engine=choose_engine(ray="local")),
+            [example_captures()], tmp_path, options, batch=BatchOptions(engine=RayEngine())
         )
 
 
@@ -64,7 +62,7 @@ def test_a_capture_that_kills_its_worker_is_a_failure_and_the_others_are_measure
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(run, "FolderWorker", KilledWorker)
-    batch = BatchOptions(engine=choose_engine(1, "local"))
+    batch = BatchOptions(engine=RayEngine("local", 1))
     result = measure_inputs([example_captures()], tmp_path, OPTIONS, batch=batch)
     (failure,) = result.failures
     assert (failure.capture, result.captures) == ("simulated-row-b", 2)
@@ -87,7 +85,7 @@ def test_a_full_disk_is_named_and_with_room_the_batch_goes_on(
     small_disk: Path, tmp_path: Path
 ) -> None:
     whole = measure_inputs([example_captures()], tmp_path / "whole", OPTIONS)
-    batch = BatchOptions(engine=choose_engine(1, "local"))
+    batch = BatchOptions(engine=RayEngine("local", 1))
     with pytest.raises(DiskFullError, match=r"simulated-.*No space left"):
         measure_inputs([example_captures()], small_disk / "out", OPTIONS, batch=batch)
     subprocess.run(["mount", "-o", "remount,size=64m", str(small_disk)], check=True)

@@ -21,9 +21,8 @@ from cucumbervision.files import cell_value
 from cucumbervision.methods.result import MethodName
 from cucumbervision.run.batch import Outcome
 from cucumbervision.run.finders import make_finder
-from cucumbervision.run.folder import CaptureRecord
 from cucumbervision.run.options import MeasureOptions
-from cucumbervision.run.whole_run import BatchOptions, measure_inputs
+from cucumbervision.run.whole_run import BatchOptions, CaptureRecord, measure_inputs
 
 ROW_A = "simulated-row-a"
 

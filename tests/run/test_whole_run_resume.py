@@ -21,9 +21,8 @@ from cucumbervision.capture.source import ReadOptions, example_captures
 from cucumbervision.errors import CaptureError
 from cucumbervision.methods.result import MethodName
 from cucumbervision.run.batch import Outcome
-from cucumbervision.run.folder import CaptureRecord
 from cucumbervision.run.options import MeasureOptions
-from cucumbervision.run.whole_run import BatchOptions, RunResult, measure_inputs
+from cucumbervision.run.whole_run import BatchOptions, CaptureRecord, RunResult, measure_inputs
 
 NAMES = ("simulated-bench", "simulated-row-a", "simulated-row-b")
 OPTIONS = MeasureOptions(instances="dataset", methods=(MethodName.M1,))
@@ -254,7 +253,7 @@ from cucumbervision.cli.app import main; main()
 
 def test_other_code_is_seen(run: Watched, monkeypatch: pytest.MonkeyPatch) -> None:
     # As by an update of the software, whatever version it has.
-    monkeypatch.setattr("cucumbervision.run.provenance.code_sha256", lambda: "older")
+    monkeypatch.setattr("cucumbervision.run.whole_run.code_sha256", lambda: "older")
     run()
     monkeypatch.undo()
     run()

@@ -184,9 +184,13 @@ def loop_options(
     ] = "",
 ) -> LoopOptions:
     """Return the loop options of a command."""
-    from cucumbervision.run.batch import LoopOptions, choose_engine
+    from cucumbervision.run.batch import LoopOptions, Processes
 
-    return LoopOptions(engine=choose_engine(workers, ray))
+    if ray:
+        from cucumbervision.run.ray_engine import RayEngine
+
+        return LoopOptions(engine=RayEngine(ray, workers))
+    return LoopOptions(engine=Processes(workers)) if workers > 1 else LoopOptions()
 
 
 def takes(

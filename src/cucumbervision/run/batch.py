@@ -17,6 +17,8 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
+from functools import partial
+from itertools import islice
 from multiprocessing.connection import wait
 from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar
 
@@ -74,72 +76,66 @@ class Worker(ABC, Generic[T]):
             If the networks or the calibration cannot be loaded, as `Measurer.load`.
         """
         read = self.read(item)
-        return read if isinstance(read, Outcome) else self.measure(*read)
+        return read if isinstance(read, Outcome) else self.measure(read)
 
-    def read(self, item: Item) -> Outcome[T] | tuple[Capture, str]:
-        """Read a capture, with a hash of its source if the worker computes one."""
+    def read(self, item: Item) -> Outcome[T] | Capture:
+        """Read a capture; an outcome means that there is nothing to measure."""
         if isinstance(item, Failure):
             return Outcome(failures=(item,))
         failures: list[Failure] = []
         with Boundary(failures, item.input, item.name):
-            return replace(item.ref.load(), name=item.name), ""
+            return replace(item.ref.load(), name=item.name)
         return Outcome(failures=tuple(failures))
 
-    def measure(self, capture: Capture, content: str) -> Outcome[T]:
-        """Measure a capture, and convert the result."""
-        self.measurer.load()
-        return self.make(self.measurer.attempt(capture), content)
-
     @abstractmethod
-    def make(self, result: CaptureResult, content: str) -> Outcome[T]:
-        """Convert the result of a capture; `result.error` is set if it could not be measured."""
+    def measure(self, capture: Capture) -> Outcome[T]:
+        """Measure a capture, and convert the result."""
 
 
 class ResultWorker(Worker[CaptureResult]):
     """Returns results unchanged; a capture that could not be measured has an `error`."""
 
-    def make(self, result: CaptureResult, content: str) -> Outcome[CaptureResult]:  # noqa: ARG002
-        """Return the result."""
+    def measure(self, capture: Capture) -> Outcome[CaptureResult]:
+        """Measure a capture."""
+        self.measurer.load()
+        result = self.measurer.attempt(capture)
         return Outcome(result, result.failures)
 
 
 Engine: TypeAlias = Callable[
     [Iterable[Item], Worker[Any], Callable[[], bool]], Iterator[Outcome[Any]]
 ]
-"""Processes all items, and yields the outcome of each, in order, when it is available."""
+"""Processes all items, and yields the outcome of each, in order, when it is available.
+
+An engine that takes all items at once starts no further one after the function returns True.
+"""
 
 
 def in_turn(
-    items: Iterable[Item], worker: Worker[Any], is_cancelled: Callable[[], bool]
+    items: Iterable[Item], worker: Worker[Any], _: Callable[[], bool]
 ) -> Iterator[Outcome[Any]]:
     """Process one item after the other, and request the next only when the previous one is done."""
-    for item in items:
-        yield Outcome() if _is_dropped(item, is_cancelled) else worker(item)
+    yield from map(worker, items)
 
 
 def in_process(
-    items: Iterable[Item], worker: Worker[Any], is_cancelled: Callable[[], bool]
+    items: Iterable[Item], worker: Worker[Any], _: Callable[[], bool]
 ) -> Iterator[Outcome[Any]]:
     """Process two items at once in this process: the networks find one's fruit meanwhile."""
-    waiting: deque[Future[Outcome[Any]]] = deque()
     with ThreadPoolExecutor(2) as threads:
-        for item in items:
-            if len(waiting) == 2:
-                yield waiting.popleft().result()
-            dropped = _is_dropped(item, is_cancelled)
-            waiting.append(_done() if dropped else threads.submit(worker, item))
-        while waiting:
-            yield waiting.popleft().result()
+        yield from _in_order(items, lambda item: threads.submit(worker, item).result, 2)
 
 
-def _is_dropped(item: Item, is_cancelled: Callable[[], bool]) -> bool:
-    return isinstance(item, Listed) and is_cancelled()
-
-
-def _done(outcome: Outcome[Any] | None = None) -> Future[Outcome[Any]]:
-    future = Future[Outcome[Any]]()
-    future.set_result(outcome or Outcome())
-    return future
+def _in_order(
+    items: Iterable[Item], submit: Callable[[Item], Callable[[], Outcome[Any]]], most_running: int
+) -> Iterator[Outcome[Any]]:
+    """Yield outcomes in the order of the items, of which some are submitted ahead."""
+    remaining, running = iter(items), deque[Callable[[], Outcome[Any]]]()
+    while True:
+        running.extend(map(submit, islice(remaining, most_running - len(running))))
+        if not running:
+            return
+        yield running.popleft()()
 
 
 def cores() -> int:
@@ -160,7 +156,7 @@ class Processes:
     workers: int
 
     def __call__(
-        self, items: Iterable[Item], worker: Worker[Any], is_cancelled: Callable[[], bool]
+        self, items: Iterable[Item], worker: Worker[Any], _: Callable[[], bool]
     ) -> Iterator[Outcome[Any]]:
         """Process the items; at most two per worker are running or queued.
 
@@ -168,25 +164,8 @@ class Processes:
         capture whose process is killed twice becomes a failure.
         """
         pool = _Pool(self.workers, worker)
-        waiting: deque[tuple[Item, Future[Outcome[Any]]]] = deque()
-
-        def first() -> Outcome[Any]:
-            item, future = waiting.popleft()
-            if _is_dropped(item, is_cancelled) and future.cancel():
-                return Outcome()
-            return pool.result(item, future)
-
         try:
-            for item in items:
-                if _is_dropped(item, is_cancelled):
-                    waiting.append((item, _done()))
-                else:
-                    ready = portable(item)
-                    waiting.append((ready, pool.submit(ready)))
-                if len(waiting) > 2 * self.workers:
-                    yield first()
-            while waiting:
-                yield first()
+            yield from _in_order(items, pool.submit, 2 * self.workers)
         finally:
             pool.close()
 
@@ -204,17 +183,18 @@ class _Pool:
         threads = max(1, cores() // self._workers)
         return ProcessPoolExecutor(workers, context, _begin, (self._worker, threads))
 
-    def submit(self, item: Item) -> Future[Outcome[Any]]:
-        if isinstance(item, Failure):
-            return _done(Outcome(failures=(item,)))
+    def submit(self, item: Item) -> Callable[[], Outcome[Any]]:
+        """Submit an item, and return what waits for its outcome."""
+        ready = portable(item)
         try:
-            return self._pool.submit(_do, item)
+            future = self._pool.submit(_do, ready)
         except BrokenProcessPool:
             self.close()
             self._pool = self._new(self._workers)
-            return self._pool.submit(_do, item)
+            future = self._pool.submit(_do, ready)
+        return partial(self._result, ready, future)
 
-    def result(self, item: Item, future: Future[Outcome[Any]]) -> Outcome[Any]:
+    def _result(self, item: Item, future: Future[Outcome[Any]]) -> Outcome[Any]:
         try:
             return future.result()
         except BrokenProcessPool:
@@ -271,23 +251,6 @@ def end_with_parent() -> None:
     if parent is not None:
         wait([parent.sentinel])
         os._exit(1)
-
-
-def choose_engine(workers: int = 0, ray: str = "") -> Engine:
-    """Return the engine that the options of a command select.
-
-    Parameters
-    ----------
-    workers : int
-        Number of processes. 0 means one, or with Ray one for each CPU.
-    ray : str
-        Address of a Ray cluster, or 'local' for one on this machine; empty for none.
-    """
-    if ray:
-        from cucumbervision.run.ray_engine import RayEngine
-
-        return RayEngine(ray, workers)
-    return Processes(workers) if workers > 1 else in_process
 
 
 def never() -> bool:
@@ -347,12 +310,17 @@ def measure_all(
     >>> [(ref.name, len(outcome.value.fruit)) for ref, outcome in measure_all(listed, worker)]
     [('simulated-bench', 3), ('simulated-row-a', 3), ('simulated-row-b', 2)]
     """
-    begun_items: deque[ItemT] = deque()
+    begun = deque[tuple[ItemT, bool]]()
 
-    def noted() -> Iterator[ItemT]:
+    def started() -> Iterator[ItemT]:
         for item in items:
-            begun_items.append(item)
-            yield item
+            is_dropped = isinstance(item, Listed) and is_cancelled()
+            begun.append((item, is_dropped))
+            if not is_dropped:
+                yield item
 
-    for outcome in engine(noted(), worker, is_cancelled):
-        yield begun_items.popleft(), outcome
+    for outcome in engine(started(), worker, is_cancelled):
+        while begun[0][1]:
+            yield begun.popleft()[0], Outcome()
+        yield begun.popleft()[0], outcome
+    yield from ((item, Outcome()) for item, _ in begun)

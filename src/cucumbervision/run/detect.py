@@ -23,7 +23,7 @@ from cucumbervision.fruit.instance import KEYPOINT_NAMES, SKELETON
 from cucumbervision.fruit.mask_codes import encode_rle
 from cucumbervision.run.batch import Item, Outcome, Worker, in_turn, measure_all
 from cucumbervision.run.inputs import Listed
-from cucumbervision.run.measurer import Boundary, CaptureResult, Failure, Measurer, exit_code
+from cucumbervision.run.measurer import Boundary, Failure, Measurer, exit_code
 from cucumbervision.run.options import MeasureOptions
 from cucumbervision.run.overlay import draw_detections
 from cucumbervision.run.tables import FAILURE_COLUMNS
@@ -142,7 +142,7 @@ class PictureWorker(Worker[DetectedPicture]):
         self._out = out
         self._taken: set[str] = set()
 
-    def measure(self, capture: Capture, content: str) -> Outcome[DetectedPicture]:  # noqa: ARG002
+    def measure(self, capture: Capture) -> Outcome[DetectedPicture]:
         """Return the detections; nothing is measured."""
         self.measurer.load()
         failures: list[Failure] = []
@@ -163,10 +163,6 @@ class PictureWorker(Worker[DetectedPicture]):
         size = capture.width, capture.height
         picture = DetectedPicture(capture.name, *size, entries, detections.labels)
         return Outcome(picture, tuple(failures))
-
-    def make(self, result: CaptureResult, content: str) -> Outcome[DetectedPicture]:  # noqa: ARG002
-        """Return why a picture could not be processed."""
-        return Outcome(failures=result.failures)
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,7 +22,6 @@ from cucumbervision.networks.registry import load_registry
 from cucumbervision.run.fields import FIELDS, fruit_row
 from cucumbervision.run.finders import make_finder
 from cucumbervision.run.options import GRAVITY_BY_EDGE, MeasureOptions, PlugIns, RunPlugins
-from cucumbervision.run.provenance import deciding_sha256
 from cucumbervision.threads import OneThread
 
 if TYPE_CHECKING:
@@ -257,11 +256,10 @@ class Measurer:
         """Methods and traits that take part, and which of the installed ones cannot."""
         return RunPlugins(self.options, self.plug_ins)
 
-    @cached_property
-    def deciding_sha256(self) -> str:
-        """Hash of all that decides lengths besides the captures' own files."""
-        registry = self._registry or load_registry()
-        return deciding_sha256(self.options, registry, self.plugged.lines, self.site)
+    @property
+    def registry(self) -> Registry:
+        """The named networks."""
+        return self._registry or load_registry()
 
     def calibrated_by(self, site: SiteCalibration | None, path: Path | None = None) -> Measurer:
         """Return a measurer with another calibration, or none, that shares the loaded networks.

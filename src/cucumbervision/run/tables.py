@@ -3,39 +3,239 @@
 from __future__ import annotations
 
 import json
+from array import array
+from collections import Counter
+from dataclasses import dataclass, field
 from itertools import islice
+from statistics import fmean, median, stdev
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cucumbervision.errors import MissingExtraError
-from cucumbervision.files import cell_value, json_value, write_csv
+from cucumbervision.errors import Message, MissingExtraError, joined
+from cucumbervision.files import cell_value, json_value
+from cucumbervision.methods.flags import Flag, data_doubts, is_length_unknown, is_lower_bound
+from cucumbervision.methods.result import Choice
+from cucumbervision.methods.table import AVAILABLE
 from cucumbervision.run.fields import FIELDS
-from cucumbervision.run.measurer import Boundary, Failure
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
     from types import ModuleType
     from typing import Self
 
     from cucumbervision.methods.result import Measurement
     from cucumbervision.run.fields import Cell, Column, Field
-    from cucumbervision.run.folder import CaptureRecord, OutputFolder
     from cucumbervision.run.measurer import CaptureResult
-    from cucumbervision.run.summary import Summary
 
 FAILURE_COLUMNS = ("input", "capture", "error", "message")
 HEAD_COLOR = "#2F6B3A"
 MOST_EXCEL_ROWS = 1_048_575
 """Rows that a sheet of Excel takes below its head."""
 
-PARQUET = "parquet"
-_PART_ROWS = 100_000
 _FORMATS = {"cm": "0.00", "mm": "0.0", "m": "0.00", "g": "0", "ml": "0", "deg": "0.0", "h": "0.0"}
 _A4 = 9
 _MEANING = ("column", "unit", "meaning")
+
+
+# Depth steps other than 1 mm, in mm: D405 cameras, TUM's, L515 cameras, micrometres, cm, metres.
+_STEPS = (0.1, 0.2, 0.25, 0.001, 10.0, 1000.0)
+_USUAL_CM = (5.0, 50.0)
+
+
+def _by_class(counts: Mapping[str, int]) -> Message:
+    named = ((name or "without a name", count) for name, count in counts.items())
+    return joined(Message("{count} of class {name}", count=n, name=name) for name, n in named)
+
+
+@dataclass
+class Summary:
+    """Counts and lengths of a run; uses eight bytes per fruit.
+
+    Parameters
+    ----------
+    captures, fruit : int
+        Number of captures and of fruit, including fruit without a length.
+    lengths_cm : array of float
+        Lengths that are neither lower bounds nor unknown.
+    lower_bounds_cm : array of float
+        Lower bounds of fruit that continue out of sight.
+    unknown_cm : array of float
+        Lengths of which nothing is known (`flags.is_length_unknown`).
+    refused_cm : list of float
+        Lengths of fruit of implausible size.
+    too_large : int
+        Number of these that are too long or too thick.
+    methods, masks : Counter
+        Number of fruit by chosen method, and by source of the mask; '' for none.
+    labels, left_out : Counter
+        Number of fruit by class, and of detections of excluded classes.
+    flags : Counter
+        Number of fruit by flag.
+    simulated : bool
+        Whether some captures are simulated.
+    models : list of dict
+        The networks that were used.
+
+    Examples
+    --------
+    >>> cells = {"length_cm": 12.5, "method": "M6", "mask_source": None, "simulated": False}
+    >>> summary = Summary()
+    >>> summary.add([cells, cells | {"length_cm": None, "method": None}])
+    >>> summary.captures, summary.fruit, summary.measured, summary.methods
+    (1, 2, 1, Counter({'M6': 1, '': 1}))
+    """
+
+    captures: int = 0
+    fruit: int = 0
+    lengths_cm: array[float] = field(default_factory=lambda: array("d"))
+    lower_bounds_cm: array[float] = field(default_factory=lambda: array("d"))
+    unknown_cm: array[float] = field(default_factory=lambda: array("d"))
+    refused_cm: list[float] = field(default_factory=list)
+    too_large: int = 0
+    methods: Counter[str] = field(default_factory=Counter)
+    masks: Counter[str] = field(default_factory=Counter)
+    labels: Counter[str] = field(default_factory=Counter)
+    left_out: Counter[str] = field(default_factory=Counter)
+    flags: Counter[str] = field(default_factory=Counter)
+    simulated: bool = False
+    models: list[dict[str, Any]] = field(default_factory=list)
+
+    @property
+    def measured(self) -> int:
+        """Number of fruit with a length."""
+        return len(self.lengths_cm) + len(self.lower_bounds_cm) + len(self.unknown_cm)
+
+    def add(
+        self,
+        rows: Iterable[Mapping[str, Cell]],
+        models: Iterable[dict[str, Any]] = (),
+        left_out: Mapping[str, int] | None = None,
+    ) -> None:
+        """Count a capture."""
+        self.captures += 1
+        self.left_out.update(left_out or {})
+        for row in rows:
+            self.fruit += 1
+            flags = str(row.get("flags") or "").split()
+            if row["length_cm"] is not None:
+                self._lengths_of_kind(flags).append(float(row["length_cm"]))
+            self.methods[str(row["method"] or "")] += 1
+            refused = row.get("reason")
+            large = Flag.DEPTH_UNIT in flags
+            if refused == Choice.IMPLAUSIBLE or (refused == Choice.IMPLAUSIBLE_DIAMETER and large):
+                self.too_large += large
+                read = [row[f"{method.lower()}_cm"] for method in reversed(AVAILABLE)]
+                self.refused_cm.append(next(float(x) for x in read if x is not None))
+            self.masks[str(row["mask_source"] or "")] += 1
+            self.labels[str(row.get("label") or "")] += 1
+            self.flags.update(flags)
+            self.simulated = self.simulated or bool(row["simulated"])
+        self.models += [model for model in models if model not in self.models]
+
+    def _lengths_of_kind(self, flags: list[str]) -> array[float]:
+        if is_lower_bound(flags):
+            return self.lower_bounds_cm
+        return self.unknown_cm if is_length_unknown(flags) else self.lengths_cm
+
+    def doubts(self) -> list[str]:
+        """Return one line for each doubt about the data, with the remedy."""
+        return [*self.unit_hints(), *self._class_notes(), *data_doubts(self.flags, self.fruit)]
+
+    def _class_notes(self) -> list[str]:
+        """Return a note on measured and excluded classes, if there are several.
+
+        Examples
+        --------
+        >>> Summary(labels=Counter(cucumber=2, leaf=1))._class_notes()
+        ['measured as fruit: 2 of class cucumber, 1 of class leaf; --classes chooses among them']
+        """
+        notes: list[str] = []
+        if len(self.labels) > 1:
+            note = "measured as fruit: {classes}; --classes chooses among them"
+            notes.append(Message(note, classes=_by_class(self.labels)))
+        if self.left_out:
+            notes.append(Message("left out: {classes}", classes=_by_class(self.left_out)))
+        return notes
+
+    def unit_hints(self) -> list[str]:
+        """Return likely explanations if all sizes are impossible, or half too large.
+
+        Examples
+        --------
+        >>> Summary(refused_cm=[148.0, 180.0], fruit=2).unit_hints()[0]
+        'no fruit has a possible size (median 164 cm): is one step of depth really 1 mm? ...'
+        """
+        sized = len(self.refused_cm) + self.measured
+        if not self.refused_cm or (self.measured and 2 * self.too_large < sized):
+            return []
+        middle = median(self.refused_cm)
+        fault = "no fruit has a possible size (median {size:.3g} cm)"
+        if self.measured:
+            fault = "{count} of {fruit} fruit are too large (median {size:.3g} cm)"
+        fault = Message(fault, count=self.too_large, fruit=sized, size=middle)
+        steps = [s / 1000 for s in _STEPS if _USUAL_CM[0] <= middle * s <= _USUAL_CM[1]]
+        doubt = "is one step of depth really 1 mm? --depth-unit {steps} would explain it"
+        if not steps:
+            doubt = "do the intrinsics belong to this camera's colour at this size?"
+        asked = joined((Message("{step:g}", step=s) for s in steps), "{first} or {second}")
+        return [Message("{fault}: {doubt}", fault=fault, doubt=Message(doubt, steps=asked))]
+
+    def lines(self, failures: int, provenance: Mapping[str, Any]) -> list[tuple[str, Any]]:
+        """Return pairs of label and value for the first sheet of the workbook.
+
+        Parameters
+        ----------
+        failures : int
+            Number of captures that could not be read, measured or written.
+        provenance : mapping
+            As `tables.provenance_of` returns it.
+        """
+        lines: list[tuple[str, Any]] = [
+            ("Captures", self.captures),
+            ("Fruit", self.fruit),
+            ("Fruit measured", self.measured),
+            ("of these only in part (lower bounds)", len(self.lower_bounds_cm)),
+            ("of these uncertain (left out of the statistics)", len(self.unknown_cm)),
+            ("Inputs that could not be read", failures),
+        ]
+        if self.simulated:
+            lines.append(("Note", "some of these captures are simulated"))
+        lines += self._statistics()
+        for what, counts in (("method", self.methods), ("source of the mask", self.masks)):
+            named = sorted((name or "none", count) for name, count in counts.items())
+            lines += [(f"Fruit by {what} {name}", count) for name, count in named]
+        lines += [
+            ("Software", provenance["software"]),
+            ("Licence", provenance["licence"]),
+            ("Source", provenance["source"]),
+            ("Started (UTC)", provenance["started"]),
+            ("Configuration SHA-256", provenance["config_sha256"]),
+        ]
+        if provenance["calibration"]:
+            lines.append(("Calibration", provenance["calibration"]["tag"]))
+        return lines + [
+            (f"Plug-in {m['name']}", f"{m['package']} {m['version']}".strip())
+            if "package" in m
+            else (f"Model {m['name']}", f"{m['runtime']} {m['sha256']}")
+            for m in self.models
+        ]
+
+    def _statistics(self) -> list[tuple[str, Any]]:
+        lengths_cm = self.lengths_cm
+        if not lengths_cm:
+            return []
+        lines = [
+            ("Mean length [cm]", round(fmean(lengths_cm), 2)),
+            ("Median length [cm]", round(median(lengths_cm), 2)),
+            ("Shortest [cm]", round(min(lengths_cm), 2)),
+            ("Longest [cm]", round(max(lengths_cm), 2)),
+        ]
+        if len(lengths_cm) > 1:
+            lines.append(("Standard deviation [cm]", round(stdev(lengths_cm), 2)))
+        return lines
 
 
 class Workbook:
@@ -276,120 +476,3 @@ def _method_json(measurement: Measurement) -> dict[str, Any]:
         "fallback": list(measurement.fallback),
         "tips_m": None if path is None else np.round(path[[0, -1]], 5).tolist(),
     }
-
-
-def rows_of(records: Iterable[CaptureRecord]) -> Iterator[dict[str, Cell]]:
-    """Yield the rows of all fruit, in order."""
-    for record in records:
-        yield from record.rows
-
-
-def write_reports(
-    out: OutputFolder,
-    records: Callable[[], Iterator[CaptureRecord]],
-    summary: Summary,
-    failures: Sequence[Failure],
-    provenance: Mapping[str, Any],
-    *,
-    fields: Sequence[Field] = FIELDS,
-    parquet: bool = False,
-) -> list[Failure]:
-    """Write the tables of a run; a failed table keeps its previous version.
-
-    Parameters
-    ----------
-    out : OutputFolder
-        Output folder.
-    records : callable
-        Returns a new iterator of the run's captures, in order.
-    summary : Summary
-        Summary of the same captures.
-    failures : sequence of Failure
-        Captures that could not be read, measured or written.
-    provenance : mapping
-        As `provenance_of` returns it.
-    fields : sequence of Field
-        The columns of the rows.
-    parquet : bool
-        Whether to also write `parquet/`.
-
-    Returns
-    -------
-    list of Failure
-        One for each table that could not be written.
-    """
-    written: list[Failure] = []
-    with Boundary(written, str(out.path)), out.replacing("measurements.csv") as path:
-        write_csv(path, [fruit_field.name for fruit_field in fields], rows_of(records()))
-    with (
-        Boundary(written, str(out.path)),
-        out.replacing("measurements.json") as path,
-        path.open("w", encoding="utf-8", errors="backslashreplace") as file,
-    ):
-        file.writelines(_json_pieces(provenance, records(), failures))
-    with Boundary(written, str(out.path)), out.replacing("measurements.xlsx") as path:
-        lines = [*excel_limit(summary.fruit), *summary.lines(len(failures), provenance)]
-        write_workbook(path, rows_of(records()), lines, fields=fields)
-    if parquet:
-        with Boundary(written, str(out.path)):
-            _write_parts(out, rows_of(records()), provenance, fields)
-    with Boundary(written, str(out.path)), out.replacing("failures.csv") as path:
-        write_csv(path, FAILURE_COLUMNS, (vars(failure) for failure in (*failures, *written)))
-    return written
-
-
-def excel_limit(fruit: int, most_rows: int = MOST_EXCEL_ROWS) -> list[tuple[str, str]]:
-    """Return a line for the summary of the workbook if an Excel sheet cannot hold all fruit.
-
-    Examples
-    --------
-    >>> excel_limit(5, most_rows=5)
-    []
-    >>> excel_limit(7, most_rows=5)[0][1]
-    'Excel takes 5 rows a sheet: the last 2 fruit are in measurements.csv and .json alone'
-    """
-    if fruit <= most_rows:
-        return []
-    missing = fruit - most_rows
-    text = f"Excel takes {most_rows} rows a sheet: the last {missing} fruit are in measurements.csv"
-    return [("Not all fruit are here", f"{text} and .json alone")]
-
-
-def _json_pieces(
-    provenance: Mapping[str, Any], records: Iterable[CaptureRecord], failures: Iterable[Failure]
-) -> Iterator[str]:
-    """Yield the text of `measurements.json` by capture, one value per line."""
-    yield json.dumps(dict(provenance), indent=1, ensure_ascii=False).removesuffix("\n}")
-    yield ',\n "captures": ['
-    yield from _json_items(record.capture for record in records)
-    yield ',\n "failures": ['
-    yield from _json_items(vars(failure) for failure in failures)
-    yield "\n}\n"
-
-
-def _json_items(values: Iterable[Mapping[str, Any]]) -> Iterator[str]:
-    first = True
-    for value in values:
-        text = json.dumps(value, indent=1, ensure_ascii=False).replace("\n", "\n  ")
-        yield f"{'' if first else ','}\n  {text}"
-        first = False
-    yield "]" if first else "\n ]"
-
-
-def _write_parts(
-    out: OutputFolder,
-    rows: Iterator[dict[str, Cell]],
-    provenance: Mapping[str, Any],
-    fields: Sequence[Field],
-) -> None:
-    """Write `parquet/part-00000.parquet` and so on, and remove further parts of an earlier run."""
-    names = set[str]()
-    # Without fruit, one empty part defines the columns.
-    while (part := list(islice(rows, _PART_ROWS))) or not names:
-        name = f"part-{len(names):05d}.parquet"
-        with out.replacing(f"{PARQUET}/{name}") as path:
-            write_parquet(path, fields, part, provenance)
-        names.add(name)
-    for old in (out.path / PARQUET).glob("part-*.parquet"):
-        if old.name not in names:
-            old.unlink()

@@ -4,19 +4,38 @@ from __future__ import annotations
 
 import hashlib
 import json
+import platform
+import shutil
+import tempfile
+import uuid
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
-from functools import cached_property
+from functools import cache, cached_property
+from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 
-from cucumbervision.errors import CucumberVisionError
-from cucumbervision.files import as_path, each_file_read_once, json_value, read_bytes
+import cucumbervision
+from cucumbervision.about import installed_versions, software
+from cucumbervision.errors import CucumberVisionError, wrap_os_errors
+from cucumbervision.files import (
+    as_path,
+    each_file_read_once,
+    is_remote,
+    json_value,
+    read_bytes,
+    replacing,
+    with_retries,
+    write_csv,
+)
+from cucumbervision.networks.registry import file_sha256
+from cucumbervision.plugins import plugins
 from cucumbervision.run.batch import Item, LoopOptions, Outcome, Worker, measure_all
-from cucumbervision.run.folder import CaptureRecord, OutputFolder
+from cucumbervision.run.fields import FIELDS
 from cucumbervision.run.inputs import (
     Listed,
     distinct,
@@ -34,19 +53,196 @@ from cucumbervision.run.measurer import (
     exit_code,
     plugin_failures,
 )
-from cucumbervision.run.provenance import provenance_of
-from cucumbervision.run.summary import Summary
-from cucumbervision.run.tables import capture_json, import_arrow, rows_of, write_reports
+from cucumbervision.run.options import INSTANCE_SOURCES
+from cucumbervision.run.tables import (
+    FAILURE_COLUMNS,
+    MOST_EXCEL_ROWS,
+    Summary,
+    capture_json,
+    import_arrow,
+    write_parquet,
+    write_workbook,
+)
+from cucumbervision.tube.compiled import kernel_name
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
+    from cucumbervision.accuracy.calibration_file import SiteCalibration
     from cucumbervision.capture.frames import Capture
-    from cucumbervision.run.fields import Cell
+    from cucumbervision.networks.registry import Registry
+    from cucumbervision.plugins import Plugin
+    from cucumbervision.run.fields import Cell, Field
     from cucumbervision.run.options import MeasureOptions
 
 
+RECORDS = "records"
+"""Folder of the records, a JSON file a capture."""
+
+_BESIDE_CELLS = frozenset({"pose", "methods"})  # of a fruit of `measurements.json`
 _JPEG_QUALITY = 85
+_CODE = frozenset({".py", ".c", ".csv", ".json", ".toml"})
+_NO_LENGTH = frozenset({"cli", "service", "stream"})  # rooms that decide none
+
+
+@dataclass(frozen=True, kw_only=True)
+class CaptureRecord:
+    """A finished capture.
+
+    Parameters
+    ----------
+    key : str
+        Hash of all that decides its result, and that of its own files.
+    capture : dict
+        The capture with its fruit, as in `measurements.json`.
+    failures : tuple of Failure
+        Rejected instances, and files that could not be written.
+    models : list of dict
+        The networks that were used.
+    picture : str, optional
+        Its annotated picture in the output folder; empty if none was asked for, None if it could
+        not be written, so that the capture counts as incomplete.
+    is_earlier : bool
+        Whether an earlier run measured it.
+    """
+
+    key: str
+    capture: dict[str, Any]
+    failures: tuple[Failure, ...]
+    models: list[dict[str, Any]]
+    picture: str | None
+    is_earlier: bool = False
+
+    @property
+    def rows(self) -> list[dict[str, Cell]]:
+        """The rows of the table of fruit."""
+        return [
+            {name: cell for name, cell in fruit.items() if name not in _BESIDE_CELLS}
+            for fruit in self.capture["fruit"]
+        ]
+
+    def as_text(self) -> str:
+        """Return the record as one line of JSON."""
+        values = {**vars(self), "failures": [vars(failure) for failure in self.failures]}
+        return json.dumps(values, ensure_ascii=False, separators=(",", ":"))
+
+    @classmethod
+    def of_text(cls, text: str | bytes) -> CaptureRecord:
+        """Return the record that `as_text` wrote."""
+        values = json.loads(text)
+        values["failures"] = tuple(Failure(**failure) for failure in values["failures"])
+        return cls(**values)
+
+
+class OutputFolder:
+    """A local folder, or one on a store that fsspec supports.
+
+    Files are replaced atomically. When `write` and `replacing` return, the content is on disk (or
+    acknowledged by the store).
+
+    Parameters
+    ----------
+    path : Path
+        Location, as `as_path` returns it.
+
+    Examples
+    --------
+    >>> out = OutputFolder(Path(tempfile.mkdtemp()))
+    >>> out.write("overlays/a.png", b"picture")
+    >>> out.has("overlays/a.png"), (out.path / "overlays/a.png").read_bytes()
+    (True, b'picture')
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._unfinished = path / ".unfinished"
+
+    def has(self, name: str) -> bool:
+        """Return whether a file of that name exists."""
+        return with_retries(self.path, (self.path / name).exists)
+
+    def write(self, name: str, data: bytes) -> None:
+        """Write a file.
+
+        Raises
+        ------
+        OSError
+            If it cannot be written; what was there before is still there.
+        """
+        with self.replacing(name) as path:
+            path.write_bytes(data)
+
+    @contextmanager
+    def replacing(self, name: str) -> Iterator[Path]:
+        """Yield a local temporary file, which replaces the named file when the block succeeds.
+
+        Raises
+        ------
+        OSError
+            If it cannot be written; what was there before is still there.
+        """
+        target: Any = self.path / name
+        if is_remote(self.path):
+            with tempfile.TemporaryDirectory(prefix="cucumbervision-") as folder:
+                filled = Path(folder) / Path(name).name
+                yield filled
+                with_retries(target, lambda: target.fs.put_file(str(filled), target.path))
+            return
+        for place in (target.parent, self._unfinished):
+            place.mkdir(parents=True, exist_ok=True)
+        with replacing(target, self._unfinished) as filled:
+            yield filled
+
+    def find(self, name: str) -> CaptureRecord | None:
+        """Return the record of a capture; None if there is none, or it is damaged."""
+        path = self.path / RECORDS / f"{name}.json"
+        # Neither JSON nor its text, or JSON of something else: the capture is measured again.
+        with suppress(FileNotFoundError, ValueError, KeyError, TypeError, AttributeError):
+            return replace(
+                CaptureRecord.of_text(with_retries(path, path.read_bytes)), is_earlier=True
+            )
+        return None
+
+    @contextmanager
+    def locked(self, name: str) -> Iterator[None]:
+        """Lock the folder against other programs during the block, if the system can lock files.
+
+        What killed programs left half written is removed.
+
+        Raises
+        ------
+        CucumberVisionError
+            If another program has locked it, or it cannot be written.
+        """
+        with wrap_os_errors("cannot be written", self.path, "choose another --out"):
+            if is_remote(self.path):  # reports immediately if the store is read-only
+                self.write(name, b"")
+            else:
+                (self.path / name).parent.mkdir(parents=True, exist_ok=True)
+                file = (self.path / name).open("a")
+        try:
+            import fcntl
+        except ModuleNotFoundError:  # Windows
+            fcntl = None  # type: ignore[assignment]
+        if is_remote(self.path) or fcntl is None:
+            yield
+            return
+        with file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise CucumberVisionError(
+                    "another run is writing into it",
+                    source=self.path,
+                    remedy="wait until it ends, or choose another --out",
+                ) from None
+            shutil.rmtree(self._unfinished, ignore_errors=True)
+            try:
+                yield
+            finally:
+                with suppress(OSError):
+                    self._unfinished.rmdir()
+
 
 Report: TypeAlias = Callable[[Outcome[CaptureRecord]], None]
 Overlays: TypeAlias = Literal["png", "jpg", "none"]
@@ -180,14 +376,14 @@ def measure_inputs(
 
 
 class FolderWorker(Worker[CaptureRecord]):
-    """Measures captures that changed, draws them into a folder, and returns journal records.
+    """Measures captures that changed, and writes their pictures and records into a folder.
 
     Parameters
     ----------
     measurer : Measurer
         The measurer.
     out : OutputFolder
-        Folder for the pictures.
+        Folder of the run.
     overlays : str
         Kind of the pictures, as in `BatchOptions`.
     """
@@ -195,54 +391,56 @@ class FolderWorker(Worker[CaptureRecord]):
     def __init__(self, measurer: Measurer, out: OutputFolder, overlays: Overlays = "png") -> None:
         super().__init__(measurer)
         self._out, self._overlays = out, overlays
+        self.deciding = deciding_sha256(
+            measurer.options, measurer.registry, measurer.plugged.lines, measurer.site
+        )
 
-    def read(self, item: Item) -> Outcome[CaptureRecord] | tuple[Capture, str]:
-        """Read a capture, or its record if it was measured before."""
-        if isinstance(item, Failure):
-            return super().read(item)
+    def __call__(self, item: Item) -> Outcome[CaptureRecord]:
+        """Return the record of a capture if it would be made so again; otherwise measure it."""
         with each_file_read_once():
-            content = content_of(item.ref.parts()) if item.ref.parts is not None else ""
-            if content and (record := self._earlier(item.name, content)) is not None:
-                return Outcome(record, record.failures)
-            read = super().read(item)
+            parts = item.ref.parts() if isinstance(item, Listed) and item.ref.parts else ()
+            content = content_of(parts) if parts else ""
+            earlier = self._earlier(item, content) if content else None
+            read = earlier or self.read(item)
         if isinstance(read, Outcome):
             return read
-        content = content or _content_of_capture(read[0])
-        record = self._earlier(item.name, content)
-        if record is not None:
-            return Outcome(record, record.failures)
-        return read[0], content
+        content = content or _content_of_capture(read)
+        return self._earlier(item, content) or self._measured(read, content)
 
-    def _earlier(self, name: str, content: str) -> CaptureRecord | None:
-        """Return the record of a capture if it would be made so again."""
-        record, picture = self._out.find(name), self._picture(name)
-        if record is None or record.picture is None or record.key != self._key(content):
+    def _earlier(self, item: Item, content: str) -> Outcome[CaptureRecord] | None:
+        assert isinstance(item, Listed)
+        record, picture = self._out.find(item.name), self._picture(item.name)
+        if record is None or record.picture is None or record.key != f"{self.deciding} {content}":
             return None
-        return None if picture and not self._out.has(picture) else record
+        is_lost = picture and not self._out.has(picture)
+        return None if is_lost else Outcome(record, record.failures)
 
-    def _key(self, content: str) -> str:
-        return f"{self.measurer.deciding_sha256} {content}"
+    def measure(self, capture: Capture) -> Outcome[CaptureRecord]:
+        """Measure a capture, and write its record and picture."""
+        return self._measured(capture, _content_of_capture(capture))
 
-    def make(self, result: CaptureResult, content: str) -> Outcome[CaptureRecord]:
-        """Return the record of a measured capture; it and its picture are written."""
+    def _measured(self, capture: Capture, content: str) -> Outcome[CaptureRecord]:
+        self.measurer.load()
+        result = self.measurer.attempt(capture)
         failures, capture = list(result.failures), result.capture
         if result.error is not None:
             return Outcome(None, tuple(failures))
-        picture = None
+        picture = record = None
         with Boundary(failures, capture.source, capture.name):
             picture = self.draw(result)
-        saved = False
         with Boundary(failures, capture.source, capture.name):
-            record = CaptureRecord(
-                key=self._key(content),
+            new = CaptureRecord(
+                key=f"{self.deciding} {content}",
                 capture=capture_json(result, result.rows()),
                 failures=tuple(failures),
                 models=list(result.models),
                 picture=picture,
             )
-            self._out.save(capture.name, record)
-            saved = True
-        return Outcome(record if saved else None, tuple(failures))
+            self._out.write(
+                f"{RECORDS}/{capture.name}.json", new.as_text().encode(errors="surrogatepass")
+            )
+            record = new
+        return Outcome(record, tuple(failures))
 
     def draw(self, result: CaptureResult) -> str:
         """Write the annotated picture, and return its name in the folder; empty without one."""
@@ -308,7 +506,7 @@ def _measured(
         record = outcome.value
         if isinstance(item, Listed) and record is None and not outcome.failures:  # cancelled before
             record = out.find(item.name)
-            if record is None or not record.key.startswith(measurer.deciding_sha256):
+            if record is None or not record.key.startswith(worker.deciding):
                 result.interrupted = True
                 continue
         result.failures += outcome.failures
@@ -338,3 +536,231 @@ def _measured(
         parquet=batch.parquet,
     )
     return result
+
+
+_PART_ROWS = 100_000
+
+
+def rows_of(records: Iterable[CaptureRecord]) -> Iterator[dict[str, Cell]]:
+    """Yield the rows of all fruit, in order."""
+    for record in records:
+        yield from record.rows
+
+
+def write_reports(
+    out: OutputFolder,
+    records: Callable[[], Iterator[CaptureRecord]],
+    summary: Summary,
+    failures: Sequence[Failure],
+    provenance: Mapping[str, Any],
+    *,
+    fields: Sequence[Field] = FIELDS,
+    parquet: bool = False,
+) -> list[Failure]:
+    """Write the tables of a run; a failed table keeps its previous version.
+
+    Parameters
+    ----------
+    out : OutputFolder
+        Output folder.
+    records : callable
+        Returns a new iterator of the run's captures, in order.
+    summary : Summary
+        Summary of the same captures.
+    failures : sequence of Failure
+        Captures that could not be read, measured or written.
+    provenance : mapping
+        As `provenance_of` returns it.
+    fields : sequence of Field
+        The columns of the rows.
+    parquet : bool
+        Whether to also write `parquet/`.
+
+    Returns
+    -------
+    list of Failure
+        One for each table that could not be written.
+    """
+    written: list[Failure] = []
+    with Boundary(written, str(out.path)), out.replacing("measurements.csv") as path:
+        write_csv(path, [fruit_field.name for fruit_field in fields], rows_of(records()))
+    with (
+        Boundary(written, str(out.path)),
+        out.replacing("measurements.json") as path,
+        path.open("w", encoding="utf-8", errors="backslashreplace") as file,
+    ):
+        file.writelines(_json_pieces(provenance, records(), failures))
+    with Boundary(written, str(out.path)), out.replacing("measurements.xlsx") as path:
+        lines = [*excel_limit(summary.fruit), *summary.lines(len(failures), provenance)]
+        write_workbook(path, rows_of(records()), lines, fields=fields)
+    if parquet:
+        with Boundary(written, str(out.path)):
+            _write_parts(out, rows_of(records()), provenance, fields)
+    with Boundary(written, str(out.path)), out.replacing("failures.csv") as path:
+        write_csv(path, FAILURE_COLUMNS, (vars(failure) for failure in (*failures, *written)))
+    return written
+
+
+def excel_limit(fruit: int, most_rows: int = MOST_EXCEL_ROWS) -> list[tuple[str, str]]:
+    """Return a line for the summary of the workbook if an Excel sheet cannot hold all fruit.
+
+    Examples
+    --------
+    >>> excel_limit(5, most_rows=5)
+    []
+    >>> excel_limit(7, most_rows=5)[0][1]
+    'Excel takes 5 rows a sheet: the last 2 fruit are in measurements.csv and .json alone'
+    """
+    if fruit <= most_rows:
+        return []
+    missing = fruit - most_rows
+    text = f"Excel takes {most_rows} rows a sheet: the last {missing} fruit are in measurements.csv"
+    return [("Not all fruit are here", f"{text} and .json alone")]
+
+
+def _json_pieces(
+    provenance: Mapping[str, Any], records: Iterable[CaptureRecord], failures: Iterable[Failure]
+) -> Iterator[str]:
+    """Yield the text of `measurements.json` by capture, one value per line."""
+    yield json.dumps(dict(provenance), indent=1, ensure_ascii=False).removesuffix("\n}")
+    yield ',\n "captures": ['
+    yield from _json_items(record.capture for record in records)
+    yield ',\n "failures": ['
+    yield from _json_items(vars(failure) for failure in failures)
+    yield "\n}\n"
+
+
+def _json_items(values: Iterable[Mapping[str, Any]]) -> Iterator[str]:
+    first = True
+    for value in values:
+        text = json.dumps(value, indent=1, ensure_ascii=False).replace("\n", "\n  ")
+        yield f"{'' if first else ','}\n  {text}"
+        first = False
+    yield "]" if first else "\n ]"
+
+
+def _write_parts(
+    out: OutputFolder,
+    rows: Iterator[dict[str, Cell]],
+    provenance: Mapping[str, Any],
+    fields: Sequence[Field],
+) -> None:
+    """Write `parquet/part-00000.parquet` and so on, and remove further parts of an earlier run."""
+    names = set[str]()
+    # Without fruit, one empty part defines the columns.
+    while (part := list(islice(rows, _PART_ROWS))) or not names:
+        name = f"part-{len(names):05d}.parquet"
+        with out.replacing(f"parquet/{name}") as path:
+            write_parquet(path, fields, part, provenance)
+        names.add(name)
+    for old in (out.path / "parquet").glob("part-*.parquet"):
+        if old.name not in names:
+            old.unlink()
+
+
+def deciding_sha256(
+    options: MeasureOptions,
+    registry: Registry,
+    added: Sequence[Plugin] = (),
+    site: SiteCalibration | None = None,
+) -> str:
+    """Return the hash of all that decides lengths besides the captures' own files.
+
+    These are the content of the code and its tables, of the networks in use, and of the files that
+    the options name; the options; the versions of libraries; and the plug-ins.
+
+    Parameters
+    ----------
+    options : MeasureOptions
+        Options of the run.
+    registry : Registry
+        The networks in use.
+    added : sequence of Plugin
+        Plug-ins of other packages. One without a version may have changed: no hash is the same.
+    site : SiteCalibration, optional
+        The calibration that the run has read.
+
+    Raises
+    ------
+    CucumberVisionError
+        If a file in the options cannot be read.
+
+    Examples
+    --------
+    >>> from cucumbervision.networks.registry import load_registry
+    >>> from cucumbervision.run.options import MeasureOptions
+    >>> one, other = (
+    ...     deciding_sha256(MeasureOptions(confidence=c), load_registry()) for c in (0.3, 0.1)
+    ... )
+    >>> one == other
+    False
+    """
+    values = options.as_json()
+    for name in ("intrinsics", "depth"):  # files of the capture
+        del values["reading"][name]
+    files = [options.pose] if options.pose else []
+    detectors, segmenters = plugins("detectors"), plugins("segmenters")
+    if options.instances in detectors:
+        added = (*added, detectors[options.instances])
+    elif options.instances not in INSTANCE_SOURCES:
+        files.append(Path(options.instances))
+    tasks = ("segment", "pose", "fruit", "look")
+    networks = [model.name for model in map(registry.default, tasks) if model is not None]
+    if options.segmenter in segmenters:
+        added = (*added, segmenters[options.segmenter])
+    elif options.segmenter != "none" and registry.default("prompted-mask") is not None:
+        networks.append(registry.segmenter(options.segmenter).name)
+    if not all(plugin.version for plugin in added):
+        values["run"] = uuid.uuid4().hex
+    values |= {
+        "calibration": site and site.sha256,
+        "files": [_path_sha256(path) for path in files],
+        "networks": [registry.hashes(name) for name in networks],
+        "plugins": [plugin.as_json() for plugin in added],
+        "code": code_sha256(),
+        "versions": installed_versions(),
+    }
+    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
+
+
+@cache
+def code_sha256() -> str:
+    """Return the hash of the code and the tables of this package that decide a length."""
+    root = Path(cucumbervision.__file__).parent
+    digest = hashlib.sha256()
+    for path in sorted(root.rglob("*")):
+        name = path.relative_to(root)
+        if path.suffix in _CODE and name.parts[0] not in _NO_LENGTH:
+            digest.update(f"{name.as_posix()} {file_sha256(path)}\n".encode())
+    return digest.hexdigest()
+
+
+def _path_sha256(path: Path) -> str:
+    """Hash a file, or all files of a folder with their names."""
+    if not path.exists():
+        raise CucumberVisionError("no such file", source=path, remedy="check the run's options")
+    if path.is_file():
+        return file_sha256(path)
+    files = sorted(file for file in path.rglob("*") if file.is_file())
+    named = [[file.relative_to(path).as_posix(), file_sha256(file)] for file in files]
+    return hashlib.sha256(json.dumps(named).encode()).hexdigest()
+
+
+def provenance_of(
+    options: MeasureOptions,
+    models: Sequence[Mapping[str, Any]],
+    site: SiteCalibration | None,
+    started: datetime,
+) -> dict[str, Any]:
+    """Return the provenance of a run: software, options, networks, calibration, versions."""
+    return {
+        **software(),
+        "started": started.isoformat(timespec="seconds"),
+        "config": options.as_json(),
+        "config_sha256": options.sha256,
+        "models": [model for model in models if "package" not in model],
+        "plugins": [model for model in models if "package" in model],
+        "calibration": site and {"tag": site.tag, **site.model_dump(mode="json")},
+        "kernel": kernel_name(),
+        "versions": {"python": platform.python_version(), **installed_versions()},
+    }

@@ -255,7 +255,7 @@ class RoundCapture(Listed):
 class _New(ResultWorker):
     """Measures captures that are new in a round."""
 
-    def read(self, item: Item) -> Outcome[CaptureResult] | tuple[Capture, str]:
+    def read(self, item: Item) -> Outcome[CaptureResult] | Capture:
         """Read a capture, unless the round has it, deleted or not."""
         if isinstance(item, RoundCapture) and item.is_deleted is not None:
             return Outcome()

@@ -14,7 +14,7 @@ from cucumbervision.methods.matching import pooled_length
 from cucumbervision.methods.result import INTERVAL_Z
 from cucumbervision.methods.table import AVAILABLE
 from cucumbervision.run.fields import table_row
-from cucumbervision.run.summary import Summary
+from cucumbervision.run.tables import Summary
 from cucumbervision_greenhouse.forecast.forecast import natural_key
 from cucumbervision_greenhouse.rounds.from_store import (
     CONTENTS,

@@ -9,7 +9,7 @@ import pytest
 
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.files import as_path
-from cucumbervision.run.folder import OutputFolder
+from cucumbervision.run.whole_run import OutputFolder
 
 
 @pytest.fixture(params=["local", "remote"])
@@ -56,7 +56,7 @@ def test_the_next_run_removes_what_a_killed_one_left_half_written(local: OutputF
     pytest.importorskip("fcntl")
     program = (
         "import os, signal, sys; from pathlib import Path\n"
-        "from cucumbervision.run.folder import OutputFolder\n"
+        "from cucumbervision.run.whole_run import OutputFolder\n"
         "with OutputFolder(Path(sys.argv[1])).replacing('overlays/a.png') as path:\n"
         "    path.write_bytes(b'ha'); os.kill(os.getpid(), signal.SIGKILL)\n"
     )

@@ -16,7 +16,7 @@ from cucumbervision.methods.result import LengthDefinition, MethodName, Selector
 from cucumbervision.networks.registry import load_registry
 from cucumbervision.plugins import Plugin
 from cucumbervision.run.options import MeasureOptions
-from cucumbervision.run.provenance import deciding_sha256
+from cucumbervision.run.whole_run import deciding_sha256
 
 USUAL, REGISTRY = MeasureOptions(), load_registry()
 

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from cucumbervision.run.fields import Cell
-from cucumbervision.run.summary import Summary
+from cucumbervision.run.tables import Summary
 
 
 def row(m6_cm: float, reason: str = "mask-points-ge-100", flags: str = "") -> dict[str, Any]:

@@ -9,7 +9,6 @@ import pytest
 from cucumbervision.accuracy.calibration_file import (
     CalibratedCamera,
     DepthScaleEntry,
-    MeasuredWith,
     SiteCalibration,
     read_site_calibration,
     write_site_calibration,
@@ -24,9 +23,7 @@ SITE = SiteCalibration(
     created="2026-05-02T10:00:00+00:00",
     software="cucumbervision 0",
     camera=CalibratedCamera.of(CAMERA, "841512"),
-    measured_with=MeasuredWith(
-        software="x", config_sha256="", selector="best", methods=["M3"], instances="auto"
-    ),
+    measured_with={"software": "x", "methods": ["M3"]},
     depth_scale=DepthScaleEntry(
         value=1.01, standard_error=0.001, spread=0.002, captures=4, spacing_m=0.01,
     ),

@@ -13,7 +13,6 @@ from cucumbervision.accuracy.calibration_file import (
     DepthScaleEntry,
     Form,
     IntervalEntry,
-    MeasuredWith,
     SiteCalibration,
     calibrated_capture,
     calibrated_fruit,
@@ -55,9 +54,6 @@ def site(*entries: CorrectionEntry, scale: float | None = None, camera: Any = CA
     )  # fmt: skip
     return SiteCalibration(
         name="house", created="", software="", camera=CalibratedCamera.of(camera, "841"),
-        measured_with=MeasuredWith(
-            software="", config_sha256="", selector="best", methods=[], instances="auto"
-        ),
         depth_scale=depth or None, corrections=list(entries),
     )  # fmt: skip
 

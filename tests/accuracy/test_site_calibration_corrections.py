@@ -81,7 +81,7 @@ def test_held_out_error_by_hand() -> None:
     assert fit.error_after_percent == pytest.approx(10 / 9, rel=1e-3)
     assert fit.error_before_percent == pytest.approx(100 * 8 / 9 * (1 - 1 / 1.1))
     # Nine fruit at 90 %: the interval needs all nine, so the odd one sets it: 1/1.1 - 1.
-    assert fit.half_width == pytest.approx(1 - 1 / 1.1, rel=1e-3)
+    assert fit.interval.half_width == pytest.approx(1 - 1 / 1.1, rel=1e-3)
 
 
 def test_nothing_or_nonsense_is_refused() -> None:
@@ -108,9 +108,9 @@ def test_the_interval_holds_on_new_fruit() -> None:
         truth = rng.uniform(0.1, 0.35, 16)
         raw = truth / 1.06 * (1 + rng.standard_t(4, 16) * 0.02)
         fit = fit_correction(raw[:15], truth[:15], [str(k) for k in range(15)])
-        assert fit.half_width is not None
+        assert fit.interval.half_width is not None
         length = corrected(raw[15], fit.scale, fit.offset_m)
-        hits += abs(truth[15] / length - 1) <= fit.half_width
+        hits += abs(truth[15] / length - 1) <= fit.interval.half_width
     # ceil(0.9 x 16) = 15 of 15, so 15/16 = 93.75 % is what the theory promises; binomial sd 1.7 %.
     assert 0.90 <= hits / 200 <= 0.985
 

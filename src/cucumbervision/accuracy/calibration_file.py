@@ -104,30 +104,6 @@ def _words(camera: Intrinsics) -> str:
     return f"{camera.width}x{camera.height} fx {camera.fx_px:.3f} px"
 
 
-class MeasuredWith(_Frozen):
-    """The run used for calibration."""
-
-    software: str
-    config_sha256: str
-    selector: str
-    methods: list[str]
-    instances: str
-    segmenter: str | None = None
-    models: list[dict[str, Any]] = Field(default_factory=list)
-    depth_scale: float = Field(default=1.0, gt=0)
-
-
-class TruthUsed(_Frozen):
-    """The table of manual lengths used for calibration."""
-
-    file: str
-    sha256: str
-    rows: int
-    specimens_named: bool
-    floor_mm: float | None = None
-    floor_percent: float | None = None
-
-
 class IntervalEntry(_Frozen):
     """Relative half width of the interval, length (1 -+ half_width), or why there is none."""
 
@@ -137,7 +113,12 @@ class IntervalEntry(_Frozen):
 
 
 class CorrectionEntry(_Frozen):
-    """Correction of one method for one definition of length: scale x reading + offset."""
+    """Correction of one method for one definition of length: scale x reading + offset.
+
+    Errors are mean absolute relative errors with the same weight for every fruit; after the
+    correction, each fruit is left out of the fit in turn. Outside `raw_range_m` the correction is
+    an extrapolation.
+    """
 
     method: str
     truth_kind: LengthDefinition
@@ -175,14 +156,14 @@ class LensEntry(_Frozen):
 class SiteCalibration(_Frozen):
     """Contents of a calibration file.
 
+    `measured_with` describes the run that was calibrated, `truth` the table of manual lengths.
+
     Examples
     --------
     >>> from cucumbervision.capture.intrinsics import Intrinsics
     >>> camera = CalibratedCamera.of(Intrinsics(848, 480, 616.4, 616.4, 424.0, 240.0))
-    >>> run = MeasuredWith(software="x", config_sha256="", selector="best", methods=["M5"],
-    ...     instances="auto")
     >>> site = SiteCalibration(name="house-3", created="2026-05-02T10:00:00+00:00", software="x",
-    ...     camera=camera, measured_with=run)
+    ...     camera=camera)
     >>> site.depth_divisor, site.entry("M5", LengthDefinition.THREAD) is None
     (1.0, True)
     """
@@ -193,8 +174,8 @@ class SiteCalibration(_Frozen):
     created: str
     software: str
     camera: CalibratedCamera
-    measured_with: MeasuredWith | None = None
-    truth: TruthUsed | None = None
+    measured_with: dict[str, Any] | None = None
+    truth: dict[str, Any] | None = None
     depth_scale: DepthScaleEntry | None = None
     lens: LensEntry | None = None
     corrections: list[CorrectionEntry] = Field(default_factory=list)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
@@ -12,13 +11,9 @@ from cucumbervision._version import __version__
 from cucumbervision.accuracy.calibration_file import (
     CalibratedCamera,
     CorrectionEntry,
-    DepthScaleEntry,
     Form,
     IntervalEntry,
-    LensEntry,
-    MeasuredWith,
     SiteCalibration,
-    TruthUsed,
     corrected,
 )
 from cucumbervision.accuracy.grid import LEAST_CROSSINGS, fit_grid
@@ -41,14 +36,6 @@ if TYPE_CHECKING:
 
 _WORST_SCALE = 0.10
 _PLANE_ERROR = 0.002  # systematic relative error of a plane's depth
-
-
-@dataclass(frozen=True)
-class _Run:
-    camera: CalibratedCamera
-    measured_with: MeasuredWith | None
-    depth_scale: DepthScaleEntry | None
-    lens: LensEntry | None
 
 
 def calibrate_lengths(measured: Measured, truth: Truth, name: str) -> SiteCalibration:
@@ -77,7 +64,14 @@ def calibrate_lengths(measured: Measured, truth: Truth, name: str) -> SiteCalibr
     TruthError
         If the manual lengths do not match the run.
     """
-    run = _run(measured)
+    if not measured.report:
+        raise CalibrationError(
+            "does not say which camera took the captures",
+            source=measured.path,
+            remedy="give the folder of the run, with its measurements.json",
+        )
+    with wrap_reader_errors(measured.path, CalibrationError, "measure again"):
+        run = _run_of(measured)
     pairs = match_truth(measured, truth)
     methods = [key for key in pairs[0][1].lengths_m if key != REPORTED]
     entries = [
@@ -93,15 +87,15 @@ def calibrate_lengths(measured: Measured, truth: Truth, name: str) -> SiteCalibr
             remedy="measure with other masks or methods",
         )
     floor = floor_of(truth.lengths)
-    used = TruthUsed(
-        file=truth.path.name,
-        sha256=truth.sha256,
-        rows=len(pairs),
-        specimens_named=truth.specimens_named,
-        floor_mm=floor.sd_mm if floor else None,
-        floor_percent=floor.sd_percent if floor else None,
-    )
-    return _site(name, run, truth=used, corrections=entries)
+    used = {
+        "file": truth.path.name,
+        "sha256": truth.sha256,
+        "rows": len(pairs),
+        "specimens_named": truth.specimens_named,
+        "floor_mm": floor and floor.sd_mm,
+        "floor_percent": floor and floor.sd_percent,
+    }
+    return _site(name, truth=used, corrections=entries, **run)
 
 
 def calibrate_camera(captures: Iterable[Capture], spacing_m: float, name: str) -> SiteCalibration:
@@ -149,67 +143,49 @@ def calibrate_camera(captures: Iterable[Capture], spacing_m: float, name: str) -
             scale=scale,
         )
     spread = float(fit.ratios.std(ddof=1)) if count > 1 else 0.0
-    entry = DepthScaleEntry(
-        value=scale,
-        standard_error=float(np.hypot(spread / np.sqrt(count), _PLANE_ERROR)),
-        spread=spread,
-        captures=count,
-        spacing_m=spacing_m,
-    )
-    k1, k2, p1, p2, k3 = fit.coefficients.tolist()
-    lens = LensEntry(coefficients=(k1, k2, p1, p2, k3), residual_px=fit.residual_px)
-    run = _Run(cameras[0], None, entry, lens)
-    return _site(name, run)
+    depth_scale = {
+        "value": scale,
+        "standard_error": float(np.hypot(spread / np.sqrt(count), _PLANE_ERROR)),
+        "spread": spread,
+        "captures": count,
+        "spacing_m": spacing_m,
+    }
+    lens = {"coefficients": fit.coefficients.tolist(), "residual_px": fit.residual_px}
+    return _site(name, camera=cameras[0], depth_scale=depth_scale, lens=lens)
 
 
-def _site(name: str, run: _Run, **parts: Any) -> SiteCalibration:
+def _site(name: str, **parts: Any) -> SiteCalibration:
     return SiteCalibration(
         name=name,
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         software=f"cucumbervision {__version__}",
-        **{**vars(run), **parts},
+        **parts,
     )
 
 
-def _run(measured: Measured) -> _Run:
-    if not measured.report:
-        raise CalibrationError(
-            "does not say which camera took the captures",
-            source=measured.path,
-            remedy="give the folder of the run, with its measurements.json",
-        )
-    with wrap_reader_errors(measured.path, CalibrationError, "measure again"):
-        return _run_of(measured)
-
-
-def _run_of(measured: Measured) -> _Run:
-    captures = measured.report["captures"]
-    applied = measured.report.get("calibration") or {}
+def _run_of(measured: Measured) -> dict[str, Any]:
+    """Return the camera of a run, what was measured with, and the calibration that it used."""
+    report = measured.report
+    captures, applied = report["captures"], report.get("calibration") or {}
     cameras = [CalibratedCamera.of(_camera(c, measured), _serial(c)) for c in captures]
     first = next((camera for camera in cameras if camera.serial), cameras[0])
     for capture, camera in zip(captures, cameras, strict=True):
         different = first.difference(camera.intrinsics.intrinsics, camera.serial)
         if different:
             raise _other_camera(capture["name"], different, str(measured.path))
-    report, config = measured.report, measured.report.get("config", {})
-    scale = applied.get("depth_scale")
-    measured_with = MeasuredWith(
-        software=str(report.get("software", "")),
-        config_sha256=str(report.get("config_sha256", "")),
-        selector=str(config.get("selector", "")),
-        methods=[str(m) for m in config.get("methods", [])],
-        instances=str(config.get("instances", "")),
-        segmenter=config.get("segmenter"),
-        models=list(report.get("models", [])),
-        depth_scale=scale["value"] if scale else 1.0,
-    )
-    depth = DepthScaleEntry.model_validate(scale) if scale else None
-    lens = applied.get("lens")
-    if lens is None:
-        return _Run(first, measured_with, depth, None)
+    config, scale, lens = report.get("config", {}), applied.get("depth_scale"), applied.get("lens")
+    measured_with = {
+        "software": str(report.get("software", "")),
+        "config_sha256": str(report.get("config_sha256", "")),
+        **{key: str(config.get(key, "")) for key in ("selector", "instances")},
+        "methods": list(map(str, config.get("methods", []))),
+        "segmenter": config.get("segmenter"),
+        "models": list(report.get("models", [])),
+        "depth_scale": scale["value"] if scale else 1.0,
+    }
     # Captures of the run have the calibrated lens; the calibration describes the camera without it.
-    bare = CalibratedCamera.model_validate(applied["camera"])
-    return _Run(bare, measured_with, depth, LensEntry.model_validate(lens))
+    camera = applied["camera"] if lens else first
+    return {"camera": camera, "measured_with": measured_with, "depth_scale": scale, "lens": lens}
 
 
 def _other_camera(capture: str, different: str, source: str) -> CalibrationError:
@@ -246,30 +222,25 @@ def _entry(
     ]
     if not usable:
         return None
-    fit = fit_correction(
+    return fit_correction(
         [length for _, _, length in usable],
         [length_by_hand.length_m for length_by_hand, _, _ in usable],
         [length_by_hand.specimen for length_by_hand, _, _ in usable],
-    )
-    return CorrectionEntry(
         method=method,
         truth_kind=kind,
         mask_sources=sorted({reading.mask_source for _, reading, _ in usable}),
-        interval=_interval(fit),
-        **{name: value for name, value in vars(fit).items() if name != "half_width"},
     )
 
 
-def _interval(fit: Fit) -> IntervalEntry:
-    width = fit.half_width if fit.half_width is not None and fit.half_width < 1 else None
+def _interval(width: float | None, fruit: int) -> IntervalEntry:
     least_fruit = int(np.ceil(LEVEL / (1 - LEVEL) - 1e-9))
-    if width is not None:
-        reason = f"conformal on {fit.fruit} fruit, each left out of the fit in turn"
-    elif fit.fruit < least_fruit:
-        reason = f"{100 * LEVEL:g} % needs {least_fruit} fruit, there are {fit.fruit}"
-    else:
-        reason = "a fruit left out of the fit is off by more than its length"
-    return IntervalEntry(level=LEVEL, half_width=width, reason=reason)
+    if width is not None and width < 1:
+        reason = f"conformal on {fruit} fruit, each left out of the fit in turn"
+        return IntervalEntry(level=LEVEL, half_width=width, reason=reason)
+    reason = "a fruit left out of the fit is off by more than its length"
+    if fruit < least_fruit:
+        reason = f"{100 * LEVEL:g} % needs {least_fruit} fruit, there are {fruit}"
+    return IntervalEntry(level=LEVEL, reason=reason)
 
 
 LEVEL = 0.90
@@ -286,48 +257,15 @@ _TOLERANCE = 1e-9
 _MIN_FRUIT = {Form.SCALE: 6, Form.SCALE_OFFSET: 10}
 
 
-@dataclass(frozen=True, kw_only=True)
-class Fit:
-    """Fitted correction of one method: true length = scale x reading + offset.
-
-    Parameters
-    ----------
-    form : Form
-        Form of the correction.
-    scale : float
-        Scale factor.
-    offset_m : float
-        Offset, metres.
-    reason : str
-        Why no form with more parameters was chosen.
-    fruit, captures : int
-        Number of physical fruit, and of their readings.
-    error_before_percent, error_after_percent : float
-        Mean absolute relative error without correction, and with leave-one-fruit-out correction;
-        every fruit has the same weight.
-    residual_sd_percent : float
-        Standard deviation of the remaining relative error with the same weights.
-    half_width : float, optional
-        Half width of the interval relative to the corrected length; None with too few fruit for
-        the level.
-    raw_range_m : tuple of float
-        Shortest and longest reading, metres; outside, the correction is an extrapolation.
-    """
-
-    form: Form
-    scale: float
-    offset_m: float
-    reason: str
-    fruit: int
-    captures: int
-    error_before_percent: float
-    error_after_percent: float
-    residual_sd_percent: float
-    half_width: float | None
-    raw_range_m: tuple[float, float]
-
-
-def fit_correction(raw_m: ArrayLike, truth_m: ArrayLike, fruit: Sequence[Hashable]) -> Fit:
+def fit_correction(
+    raw_m: ArrayLike,
+    truth_m: ArrayLike,
+    fruit: Sequence[Hashable],
+    *,
+    method: str = "",
+    truth_kind: LengthDefinition = LengthDefinition.CENTRELINE,
+    mask_sources: Sequence[str] = (),
+) -> CorrectionEntry:
     """Choose and fit a correction by leave-one-fruit-out cross-validation.
 
     Relative errors are fitted by Huber's estimator with the same weight for every fruit. A form
@@ -340,10 +278,12 @@ def fit_correction(raw_m: ArrayLike, truth_m: ArrayLike, fruit: Sequence[Hashabl
         Readings and true lengths, metres, all positive and finite.
     fruit : sequence of hashable, length N
         Physical fruit of each reading; all readings of a fruit are left out together.
+    method, truth_kind, mask_sources
+        As in `CorrectionEntry`.
 
     Returns
     -------
-    Fit
+    CorrectionEntry
         The chosen correction.
 
     Raises
@@ -384,7 +324,9 @@ def fit_correction(raw_m: ArrayLike, truth_m: ArrayLike, fruit: Sequence[Hashabl
     centred = relative - float(weights @ relative)
     # Scores are relative to the corrected length, because only that is known at run time.
     scores = np.where(predicted > 0, np.abs(truth / np.maximum(predicted, 1e-12) - 1), np.inf)
-    return Fit(
+    return CorrectionEntry(
+        method=method,
+        truth_kind=truth_kind,
         form=chosen,
         scale=scale,
         offset_m=offset,
@@ -394,8 +336,9 @@ def fit_correction(raw_m: ArrayLike, truth_m: ArrayLike, fruit: Sequence[Hashabl
         error_before_percent=100 * float(weights @ np.abs(raw / truth - 1)),
         error_after_percent=100 * float(weights @ np.abs(relative)),
         residual_sd_percent=100 * float(np.sqrt(weights @ centred**2)),
-        half_width=conformal_half_width(scores, member),
         raw_range_m=(float(raw.min()), float(raw.max())),
+        mask_sources=list(mask_sources),
+        interval=_interval(conformal_half_width(scores, member), len(names)),
     )
 
 

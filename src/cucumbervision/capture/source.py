@@ -12,6 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from unicodedata import category, normalize
 
+from cucumbervision.files import as_path
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
     from typing import TypeAlias
@@ -78,6 +80,9 @@ class ReadOptions:
         )
 
     def __post_init__(self) -> None:
+        for name in ("intrinsics", "depth"):
+            if isinstance(place := getattr(self, name), str):
+                object.__setattr__(self, name, as_path(place))
         if self.burst < 1 or (self.depth_unit_m is not None and not self.depth_unit_m > 0):
             raise ValueError(
                 f"burst is {self.burst} and depth_unit_m is {self.depth_unit_m}; "

@@ -1,6 +1,6 @@
 """The command `cucumbervision`: its sub-commands, error messages and exit codes.
 
-Exit codes are in `cli.choices.EXIT_CODES`.
+Exit codes are in `cli.choices.exit_codes`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import typer
 
 from cucumbervision._version import __version__
 from cucumbervision.cli import live, measure, models, own_truth
-from cucumbervision.cli.choices import EXIT_CODES
+from cucumbervision.cli.choices import EXIT_CODES, exit_codes
 from cucumbervision.errors import InternalError, named_error
 from cucumbervision.plugins import installed
 
@@ -30,9 +30,11 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.command("measure", epilog=EXIT_CODES)(measure.measure)
-app.command("detect", epilog=EXIT_CODES)(measure.detect)
-app.command("stream", epilog=EXIT_CODES)(live.stream)
-app.command("record", epilog=EXIT_CODES)(live.record)
+app.command("detect", epilog=exit_codes("every image was read"))(measure.detect)
+app.command("stream", epilog=exit_codes("the stream ended or was stopped", "a frame failed"))(
+    live.stream
+)
+app.command("record", epilog=exit_codes("every capture was written", "one failed"))(live.record)
 app.command("cameras")(live.cameras)
 app.command("demo", epilog=EXIT_CODES)(measure.demo)
 app.command("serve")(live.serve)

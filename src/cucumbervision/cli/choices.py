@@ -19,12 +19,17 @@ if TYPE_CHECKING:
 
 Command: TypeAlias = Callable[..., None]
 
-EXIT_CODES = (
-    "Exit codes: 0 everything was read and written, even if a fruit could not be measured; 1 "
-    "something failed (see failures.csv), the rest was done; 2 nothing could be done; 70 a defect "
-    "of the software was met, the rest was done; 130 interrupted."
-)
-"""Exit codes of commands that process many captures; shown by --help."""
+
+def exit_codes(success: str, failed: str = "something failed (see failures.csv)") -> str:
+    """Return what the exit codes of a command mean, for its --help."""
+    return (
+        f"Exit codes: 0 {success}; 1 {failed}, the rest was done; 2 nothing could be done; 70 a "
+        "defect of the software was met, the rest was done; 130 interrupted."
+    )
+
+
+EXIT_CODES = exit_codes("everything was read and written, even if a fruit could not be measured")
+"""Exit codes of commands that measure many captures."""
 
 RuntimeChoice: TypeAlias = Literal["auto", "onnxruntime", "openvino", "cuda", "tensorrt"]
 _FAST = {"fast": "auto", "cuda-fast": "cuda", "tensorrt-fast": "tensorrt"}
@@ -149,10 +154,10 @@ def measure_options(
 
     options = MeasureOptions(
         instances=instances,
-        classes=classes,  # type: ignore[arg-type]  # it reads names
+        classes=classes,
         pose=pose,
         segmenter=segmenter,
-        methods=methods or "all",  # type: ignore[arg-type]  # it reads names
+        methods=methods or "all",
         selector=Selector(selector),
         length=LengthDefinition(length),
         confidence=confidence,

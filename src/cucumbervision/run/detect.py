@@ -29,7 +29,7 @@ from cucumbervision.run.overlay import draw_detections
 from cucumbervision.run.tables import FAILURE_COLUMNS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Sequence
 
     from cucumbervision.fruit.instance import Instance
     from cucumbervision.networks.registry import Registry
@@ -70,38 +70,36 @@ def find_pictures(
     >>> [picture.name for picture in pictures], skipped
     (['a.png', 'b.JPG'], 1)
     """
-    apart = leave_out.resolve() if leave_out is not None else None
-    resolved_paths: set[Path] = set()
-    names: set[str] = set()
+    apart = None if leave_out is None else leave_out.resolve()
+    taken, names = set[Path](), set[str]()
     items: list[Item] = []
     skipped = 0
     for entry in map(Path, inputs):
-        is_folder, before = entry.is_dir(), len(resolved_paths) - skipped
-        if not is_folder and not entry.exists():
-            error = CaptureError("does not exist", source=entry, remedy="check the path")
-            items.append(Failure.of(error, str(entry)))
-            continue
-        for path, name in _files_below(entry) if is_folder else [(entry, entry.name)]:
-            resolved = path.resolve()
-            if resolved in resolved_paths or (
-                is_folder and apart is not None and apart in resolved.parents
-            ):
-                continue
-            resolved_paths.add(resolved)
-            if is_folder and path.suffix.lower() not in PHOTO_SUFFIXES:
-                skipped += 1
-                continue
-            picture_name = next(
-                (candidate for candidate in (name, path.as_posix()) if candidate not in names),
-                str(resolved),
-            )
-            names.add(picture_name)
-            ref = CaptureRef(picture_name, 0, partial(read_picture, path, picture_name))
-            items.append(Listed(str(path), ref, picture_name))
-        if is_folder and len(resolved_paths) - skipped == before:
+        fault, remedy = "does not exist", "check the path"
+        pictures = [(entry, entry.name)] if entry.exists() else []
+        if entry.is_dir():
+            fault = "there are no pictures"
             remedy = "name JPEG, PNG, WebP, TIFF or BMP files, or a folder with some"
-            error = CaptureError("there are no pictures", source=entry, remedy=remedy)
+            files = [path for path in _files_below(entry) if apart not in path.resolve().parents]
+            pictures = [
+                (path, path.relative_to(entry).as_posix())
+                for path in files
+                if path.suffix.lower() in PHOTO_SUFFIXES
+            ]
+            skipped += len(files) - len(pictures)
+        if not pictures:
+            error = CaptureError(fault, source=entry, remedy=remedy)
             items.append(Failure.of(error, str(entry)))
+        for path, inner_name in pictures:
+            if (resolved := path.resolve()) in taken:
+                continue
+            choices = (inner_name, path.as_posix())
+            name = next((choice for choice in choices if choice not in names), str(resolved))
+            taken.add(resolved)
+            names.add(name)
+            items.append(
+                Listed(str(path), CaptureRef(name, 0, partial(read_picture, path, name)), name)
+            )
     return items, skipped
 
 
@@ -113,11 +111,10 @@ def read_picture(path: Path, name: str) -> Capture:
     return Capture(color, np.zeros((height, width), np.float32), lens, name, source=str(path))
 
 
-def _files_below(folder: Path) -> Iterator[tuple[Path, str]]:
-    for path in sorted(folder.rglob("*")):
-        inner = path.relative_to(folder)
-        if path.is_file() and not any(part.startswith(".") for part in inner.parts):
-            yield path, inner.as_posix()
+def _files_below(folder: Path) -> list[Path]:
+    paths = sorted(folder.rglob("*"))
+    is_hidden = [any(p.startswith(".") for p in path.relative_to(folder).parts) for path in paths]
+    return [p for p, hidden in zip(paths, is_hidden, strict=True) if not hidden and p.is_file()]
 
 
 @dataclass(frozen=True, eq=False)

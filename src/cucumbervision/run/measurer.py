@@ -373,13 +373,14 @@ class Measurer:
             for error in (*detections.refused, *errors.values())
         ]
         models = () if self._finder is None else self._finder.models_of(detections.stages)
+        reader = capture.provenance.get("reader")
         return CaptureResult(
             capture=capture,
             fruit=tuple(with_unit_doubts(fruit)),
             failures=tuple(refused),
             error=None,
             stages=detections.stages,
-            models=(*models, *self.plugged.models),
+            models=(*models, *self.plugged.models, *([reader] if isinstance(reader, dict) else [])),
             left_out=detections.left_out,
             fields=self.plugged.fields,
         )

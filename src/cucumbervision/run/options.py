@@ -31,6 +31,7 @@ from cucumbervision.plugins import Kind, Plugin, faults, plugins
 from cucumbervision.run.fields import fields_with, trait_field
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from typing import Self
 
     from cucumbervision.methods.table import Method, Trait
@@ -61,7 +62,7 @@ class MeasureOptions:
         'auto' (the data set's own masks where a capture has them, the models otherwise),
         'models', 'dataset', or the path of a file: COCO JSON, YOLO txt (or a folder of them),
         or a YOLO ONNX export.
-    classes : tuple of str
+    classes : sequence of str
         The classes to measure, as the file or network names them, in any case; also as one text,
         'cucumber,gherkin'. All if empty.
     pose : Path, optional
@@ -79,7 +80,7 @@ class MeasureOptions:
         whose detector mask does not fit a tube well (`measurement.m6.fits_well`).
     prompt : str
         SAM's prompt: 'box+point', 'box' or 'point'.
-    methods : tuple of str
+    methods : sequence of str
         Names of the methods to run, in any case; also 'all', or 'm1,m5'.
     selector : Selector
         How the result is chosen.
@@ -113,13 +114,13 @@ class MeasureOptions:
     """
 
     instances: str = "auto"
-    classes: tuple[str, ...] = ()
+    classes: Sequence[str] = ()
     pose: Path | None = None
     quick: bool = False
     end_look: bool = True
     segmenter: str | None = None
     prompt: str = "box+point"
-    methods: tuple[str, ...] = ("all",)
+    methods: Sequence[str] = ("all",)
     selector: Selector = Selector.BEST
     length: LengthDefinition = LengthDefinition.CENTRELINE
     confidence: float = DEFAULT_CONFIDENCE
@@ -143,10 +144,8 @@ class MeasureOptions:
         """
         for name, kind in (("length", LengthDefinition), ("selector", Selector)):
             object.__setattr__(self, name, _choice(name, getattr(self, name), kind))
-        classes: Any = self.classes
-        names = classes.split(",") if isinstance(classes, str) else classes
-        class_names = tuple(name.strip().casefold() for name in names if name.strip())
-        object.__setattr__(self, "classes", class_names)
+        names = (name.strip().casefold() for name in _listed(self.classes))
+        object.__setattr__(self, "classes", tuple(filter(None, names)))
         object.__setattr__(self, "methods", _method_names(self.methods))
         named = [("prompt", PROMPTS), ("runtime", RUNTIMES)]
         if self.camera_up is not None:
@@ -191,10 +190,13 @@ def _choice(name: str, value: Any, kind: type[_Enum]) -> _Enum:
         raise _no_choice(name, value, tuple(map(str, kind))) from None
 
 
-def _method_names(methods: Any) -> tuple[str, ...]:
+def _listed(names: Sequence[str]) -> Sequence[str]:
+    return names.split(",") if isinstance(names, str) else names
+
+
+def _method_names(methods: Sequence[str]) -> tuple[str, ...]:
     """Return names of the table for what people write: names, 'all', or 'm1,m5' as one text."""
-    listed = methods.split(",") if isinstance(methods, str) else methods
-    names = {str(name).strip().casefold() for name in listed}
+    names = {str(name).strip().casefold() for name in _listed(methods)}
     table = tuple(plugins("methods"))
     if names == {"all"}:
         return table

@@ -184,6 +184,11 @@ def measure(
                 "a picture alone has no lengths", remedy="give measure(color, depth, intrinsics)"
             )
         captures = Capture.from_arrays(captures, depth, intrinsics, depth_unit_m=depth_unit_m)
+    elif not depth is intrinsics is depth_unit_m is None:
+        raise CaptureError(
+            "depth, intrinsics and depth_unit_m belong to a picture in memory",
+            remedy="for files give options=MeasureOptions(reading=ReadOptions(...))",
+        )
     inputs = [captures] if isinstance(captures, Capture | Path | str) else captures
     return _measured(measurer, inputs, partial(open_source, readers=tuple(readers)))
 

@@ -19,9 +19,10 @@ from cucumbervision.files import as_path, is_remote, with_retries
 from cucumbervision.plugins import Plugin, plugins
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from cucumbervision.capture.camera_file import CameraFile
+    from cucumbervision.capture.frames import Capture
     from cucumbervision.capture.source import CaptureEntry, CaptureLister
     from cucumbervision.plugins import Reader
 
@@ -176,9 +177,17 @@ def _listed_by(
     except PluginError as error:
         raise CaptureError(str(error)) from error
     return [
-        (name, frame, partial(plugin.call, load), path, files)
+        (name, frame, partial(_loaded_by, plugin, load), path, files)
         for name, frame, load, path, files in entries
     ]
+
+
+def _loaded_by(plugin: Plugin, load: Callable[[str], Capture], name: str) -> Capture:
+    """Load a capture, whose provenance names the reader of another package."""
+    capture = plugin.call(load, name)
+    if plugin.is_own:
+        return capture
+    return replace(capture, provenance={**capture.provenance, "reader": plugin.as_json()})
 
 
 def list_folder(path: Path) -> Folder:

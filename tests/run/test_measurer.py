@@ -19,7 +19,7 @@ from cucumbervision.methods.result import MethodName
 from cucumbervision.networks.registry import Registry
 from cucumbervision.run.measurer import Boundary, Failure, Measurer, exit_code
 from cucumbervision.run.options import MeasureOptions
-from cucumbervision.run.whole_run import measure_inputs
+from cucumbervision.run.whole_run import FolderWorker, OutputFolder, measure_inputs
 
 if TYPE_CHECKING:
     pass
@@ -50,6 +50,10 @@ def test_another_camera_is_refused_and_the_rest_goes_on(tmp_path: Path) -> None:
     assert "848x480 fx 640.000 px, here 848x480 fx 616.400 px" in result.failures[0].message
 
 
+def deciding(measurer: Measurer, out: Path) -> str:
+    return FolderWorker(measurer, OutputFolder(out)).deciding
+
+
 def test_a_run_has_one_calibration_though_its_file_is_replaced(tmp_path: Path) -> None:
     path = tmp_path / "site.json"
     write_site_calibration(path, site(scale=1.04))
@@ -61,9 +65,9 @@ def test_a_run_has_one_calibration_though_its_file_is_replaced(tmp_path: Path) -
     elsewhere = pickle.loads(pickle.dumps(calibrated))  # what a process of a batch gets
     assert elsewhere.site == calibrated.site
     # Its rows are those of the file that it read: with the new one they are measured again.
-    same = Measurer(replace(options, calibration=after)).deciding_sha256
-    assert elsewhere.deciding_sha256 == calibrated.deciding_sha256 == same
-    assert Measurer(options).deciding_sha256 != same
+    same = deciding(Measurer(replace(options, calibration=after)), tmp_path)
+    assert deciding(elsewhere, tmp_path) == deciding(calibrated, tmp_path) == same
+    assert deciding(Measurer(options), tmp_path) != same
 
 
 ERRORS = {

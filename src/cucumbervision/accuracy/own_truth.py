@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,7 +34,7 @@ from cucumbervision.methods.flags import LOWER_BOUND, NO_DEPTH
 from cucumbervision.methods.result import LengthDefinition, MethodName, calibration_key
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
 
 _KIND_OF = {calibration_key(MethodName.M6, kind): kind for kind in LengthDefinition}
@@ -76,6 +77,13 @@ class MethodScore:
     low_percent: float
     high_percent: float
     fruit: int
+
+    @property
+    def row(self) -> dict[str, Any]:
+        """The row of `scores.csv`."""
+        cells = vars(self) | vars(self.metrics)
+        del cells["metrics"]
+        return cells
 
 
 @dataclass(frozen=True)
@@ -128,32 +136,28 @@ def match_truth(measured: Measured, truth: Truth) -> list[tuple[TrueLength, Read
         With the line number, if a capture or fruit is unknown, the median ratio to the measured
         lengths indicates another unit than centimetres, or a length is implausible.
     """
-    with as_errors_of(truth.path):
-        return _matched(measured, truth)
-
-
-def _matched(measured: Measured, truth: Truth) -> list[tuple[TrueLength, Reading]]:
     readings = {(r.capture, r.fruit): r for r in measured.readings}
     ran = sorted({key for r in measured.readings for key in r.lengths_m})
     counts = Counter(r.capture for r in measured.readings)
     pairs = []
-    for length in truth.lengths:
-        if length.capture not in measured.captures:
-            raise TruthError(
-                f"line {length.line}: capture '{length.capture}' is not among the measurements of "
-                f"{measured.path} ({_shortened(measured.captures)})",
-                remedy="measure it, correct its name, or drop the line",
-            )
-        if length.fruit is not None and (length.capture, length.fruit) not in readings:
-            raise TruthError(
-                f"line {length.line}: capture '{length.capture}' has {counts[length.capture]} "
-                f"measured fruit, no number {length.fruit}",
-                remedy=f"see the numbers in the overlay; write '{MISSED}' for a fruit that the "
-                "run did not find",
-            )
-        missed = Reading(length.capture, 0, dict.fromkeys(ran), flags=MISSED)
-        pairs.append((length, readings.get((length.capture, length.fruit or 0), missed)))
-    _require_centimetres(pairs)
+    with as_errors_of(truth.path):
+        for length in truth.lengths:
+            if length.capture not in measured.captures:
+                raise TruthError(
+                    f"line {length.line}: capture '{length.capture}' is not among the measurements "
+                    f"of {measured.path} ({_shortened(measured.captures)})",
+                    remedy="measure it, correct its name, or drop the line",
+                )
+            if length.fruit is not None and (length.capture, length.fruit) not in readings:
+                raise TruthError(
+                    f"line {length.line}: capture '{length.capture}' has {counts[length.capture]} "
+                    f"measured fruit, no number {length.fruit}",
+                    remedy=f"see the numbers in the overlay; write '{MISSED}' for a fruit that the "
+                    "run did not find",
+                )
+            missed = Reading(length.capture, 0, dict.fromkeys(ran), flags=MISSED)
+            pairs.append((length, readings.get((length.capture, length.fruit or 0), missed)))
+        _require_centimetres(pairs)
     return pairs
 
 
@@ -176,42 +180,31 @@ def comparable(method: str, kind: LengthDefinition, reported_kind: str) -> bool:
     return _KIND_OF.get(method, kind) is kind
 
 
-def _score_methods(pairs: Sequence[tuple[TrueLength, Reading]]) -> list[MethodScore]:
+def _score_methods(pairs: Sequence[tuple[TrueLength, Reading]]) -> Iterator[MethodScore]:
     """Score each method for each comparable definition of length."""
     methods = list(dict.fromkeys(key for _, reading in pairs for key in reading.lengths_m))
-    scores = []
-    for kind in LengthDefinition:
-        for method in methods:
-            chosen = [
-                (reading.lengths_m[method], length.length_m, length.specimen)
-                for length, reading in pairs
-                if length.kind is kind
-                and method in reading.lengths_m
-                and comparable(method, kind, reading.kind)
-            ]
-            if chosen:
-                scores.append(_score(method, kind, chosen))
-    return scores
-
-
-def _score(
-    method: str, kind: LengthDefinition, chosen: Sequence[tuple[float | None, float, str]]
-) -> MethodScore:
-    lengths = np.array([np.nan if x is None else x for x, _, _ in chosen])
-    truth = np.array([true_m for _, true_m, _ in chosen])
-    fruit = [name for _, _, name in chosen]
-    low_percent, high_percent = math.nan, math.nan
-    if len(set(fruit)) >= _LEAST_FRUIT:
+    for kind, method in product(LengthDefinition, methods):
+        chosen = [
+            (reading.lengths_m[method] or math.nan, length.length_m, length.specimen)
+            for length, reading in pairs
+            if length.kind is kind
+            and method in reading.lengths_m
+            and comparable(method, kind, reading.kind)
+        ]
+        if not chosen:
+            continue
+        lengths, truth = np.array([numbers[:2] for numbers in chosen]).T
+        fruit = [specimen for _, _, specimen in chosen]
         error = estimate(percent_errors(lengths, truth), fruit, resamples=10_000)
-        low_percent, high_percent = error.low, error.high
-    return MethodScore(
-        method=method,
-        kind=kind,
-        metrics=score(lengths, truth),
-        low_percent=low_percent,
-        high_percent=high_percent,
-        fruit=len(set(fruit)),
-    )
+        enough = error.groups >= _LEAST_FRUIT
+        yield MethodScore(
+            method=method,
+            kind=kind,
+            metrics=score(lengths, truth),
+            low_percent=error.low if enough else math.nan,
+            high_percent=error.high if enough else math.nan,
+            fruit=error.groups,
+        )
 
 
 def _require_centimetres(pairs: Sequence[tuple[TrueLength, Reading]]) -> None:
@@ -308,14 +301,7 @@ def write_own_truth(evaluation: OwnTruth, out: Path) -> None:
         }
         for length, reading in evaluation.pairs
     ]
-    scores = [
-        {
-            key: value
-            for key, value in (vars(method_score) | asdict(method_score.metrics)).items()
-            if key != "metrics"
-        }
-        for method_score in evaluation.scores
-    ]
+    scores = [score.row for score in evaluation.scores]
     with wrap_os_errors("cannot be written", out):
         out.mkdir(parents=True, exist_ok=True)
         for name, rows in (("lengths", lengths), ("scores", scores)):
@@ -342,12 +328,7 @@ _SCORES = {
 
 def scores_table(scores: Sequence[MethodScore]) -> ReportTable:
     """Return the errors of each method for each definition of length."""
-    rows = [
-        vars(method_score.metrics)
-        | vars(method_score)
-        | {"measured_percent": 100 * method_score.metrics.measured}
-        for method_score in scores
-    ]
+    rows = [score.row | {"measured_percent": 100 * score.metrics.measured} for score in scores]
     return ReportTable.of_records("Errors against hand-measured lengths", _SCORES, rows)
 
 

@@ -8,10 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from cucumbervision.accuracy.calibration_file import CorrectionEntry, SiteCalibration
-    from cucumbervision.accuracy.statistics import ReportTable
 
 
 def calibrate(
@@ -68,6 +65,7 @@ def calibrate(
 
 
 def _show(site: SiteCalibration, out: Path) -> None:
+    from cucumbervision.accuracy.statistics import ReportTable
     from cucumbervision.cli.console import print_table, screen
 
     console = screen(150)
@@ -85,15 +83,13 @@ def _show(site: SiteCalibration, out: Path) -> None:
             soft_wrap=True,
         )
     if site.corrections:
-        print_table(console, _corrections_table(site.corrections))
-        for entry in site.corrections:
-            console.print(
-                f"{entry.method} ({entry.truth_kind}): {entry.reason}; interval: "
-                f"{entry.interval.reason}",
-                soft_wrap=True,
-                markup=False,
-            )
-    console.print(f"{site.tag} is in {out}", soft_wrap=True, markup=False)
+        title = "Corrections, tried on fruit left out of the fit"
+        rows = [vars(entry) | _formula_and_interval(entry) for entry in site.corrections]
+        print_table(console, ReportTable.of_records(title, _CORRECTIONS, rows))
+    for entry in site.corrections:
+        text = f"{entry.method} ({entry.truth_kind}): {entry.reason}"
+        console.print(f"{text}; interval: {entry.interval.reason}", soft_wrap=True)
+    console.print(f"{site.tag} is in {out}", soft_wrap=True)
 
 
 _CORRECTIONS = {
@@ -109,26 +105,11 @@ _CORRECTIONS = {
 }
 
 
-def _corrections_table(entries: Sequence[CorrectionEntry]) -> ReportTable:
-    from cucumbervision.accuracy.statistics import ReportTable
-
-    rows = []
-    for entry in entries:
-        half = entry.interval.half_width
-        percent = None if half is None else 100 * half
-        rows.append(vars(entry) | {"formula": _formula(entry), "half_width_percent": percent})
-    return ReportTable.of_records(
-        "Corrections, tried on fruit left out of the fit", _CORRECTIONS, rows
-    )
-
-
-def _formula(entry: CorrectionEntry) -> str:
-    from cucumbervision.accuracy.calibration_file import Form
-
-    if entry.form is Form.NONE:
-        return "none"
-    offset = f" {100 * entry.offset_m:+.2f} cm" if entry.form is Form.SCALE_OFFSET else ""
-    return f"x {entry.scale:.4f}{offset}"
+def _formula_and_interval(entry: CorrectionEntry) -> dict[str, object]:
+    half = entry.interval.half_width
+    offset = f" {100 * entry.offset_m:+.2f} cm" if entry.form == "scale+offset" else ""
+    formula = "none" if entry.form == "none" else f"x {entry.scale:.4f}{offset}"
+    return {"formula": formula, "half_width_percent": None if half is None else 100 * half}
 
 
 app = typer.Typer(
@@ -172,6 +153,6 @@ def lengths(
     console = screen(150)
     print_table(console, scores_table(evaluation.scores))
     for note in evaluation.notes:
-        console.print(note, soft_wrap=True, markup=False)
+        console.print(note, soft_wrap=True)
     write_own_truth(evaluation, out)
-    console.print(f"The tables are in {out}/", soft_wrap=True, markup=False)
+    console.print(f"The tables are in {out}/", soft_wrap=True)

@@ -388,6 +388,23 @@ def write_workbook(
         book.lines(book.sheet("Columns", (24, 24, 60)), (_MEANING, *meaning))
 
 
+def excel_limit(fruit: int, most_rows: int = MOST_EXCEL_ROWS) -> list[tuple[str, str]]:
+    """Return a line for the summary of the workbook if an Excel sheet cannot hold all fruit.
+
+    Examples
+    --------
+    >>> excel_limit(5, most_rows=5)
+    []
+    >>> excel_limit(7, most_rows=5)[0][1]
+    'Excel takes 5 rows a sheet: the last 2 fruit are in measurements.csv and .json alone'
+    """
+    if fruit <= most_rows:
+        return []
+    missing = fruit - most_rows
+    text = f"Excel takes {most_rows} rows a sheet: the last {missing} fruit are in measurements.csv"
+    return [("Not all fruit are here", f"{text} and .json alone")]
+
+
 def import_arrow() -> ModuleType:
     """Import pyarrow with its Parquet part.
 

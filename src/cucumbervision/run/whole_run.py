@@ -56,9 +56,9 @@ from cucumbervision.run.measurer import (
 from cucumbervision.run.options import INSTANCE_SOURCES
 from cucumbervision.run.tables import (
     FAILURE_COLUMNS,
-    MOST_EXCEL_ROWS,
     Summary,
     capture_json,
+    excel_limit,
     import_arrow,
     write_parquet,
     write_workbook,
@@ -599,23 +599,6 @@ def write_reports(
     with Boundary(written, str(out.path)), out.replacing("failures.csv") as path:
         write_csv(path, FAILURE_COLUMNS, (vars(failure) for failure in (*failures, *written)))
     return written
-
-
-def excel_limit(fruit: int, most_rows: int = MOST_EXCEL_ROWS) -> list[tuple[str, str]]:
-    """Return a line for the summary of the workbook if an Excel sheet cannot hold all fruit.
-
-    Examples
-    --------
-    >>> excel_limit(5, most_rows=5)
-    []
-    >>> excel_limit(7, most_rows=5)[0][1]
-    'Excel takes 5 rows a sheet: the last 2 fruit are in measurements.csv and .json alone'
-    """
-    if fruit <= most_rows:
-        return []
-    missing = fruit - most_rows
-    text = f"Excel takes {most_rows} rows a sheet: the last {missing} fruit are in measurements.csv"
-    return [("Not all fruit are here", f"{text} and .json alone")]
 
 
 def _json_pieces(

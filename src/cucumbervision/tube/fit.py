@@ -263,10 +263,12 @@ def fit_shape(evidence: Evidence, guess: TubeShape) -> TubeFitting:
     fit = tube_kernel.fitted(evidence, guess)
     if fit is None:
         return _fit_by_numpy(evidence, guess)
+    points, rays = (_gaps_of(*readings.arrays) for readings in fit.readings)
     return TubeFitting(
         TubeShape(fit.bend_m, fit.width_m),
         fit.covariance,
-        *(_gaps_of(*readings.arrays) for readings in fit.readings),
+        points,
+        rays,
         (bool(fit.ends_seen[0]), bool(fit.ends_seen[1])),
         float(fit.misfit[0]),
     )

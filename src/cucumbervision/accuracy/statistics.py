@@ -325,24 +325,12 @@ class ReportTable:
         Rows, each with a cell for every column.
     comment : str
         Explanation of the table.
-
-    Raises
-    ------
-    ValueError
-        If the number of cells in a row differs from the number of columns.
     """
 
     title: str
     columns: tuple[ReportColumn, ...]
     rows: tuple[tuple[Cell, ...], ...]
     comment: str = ""
-
-    def __post_init__(self) -> None:
-        for row in self.rows:
-            if len(row) != len(self.columns):
-                raise ValueError(
-                    f"'{self.title}': {len(row)} cells in a row of {len(self.columns)} columns"
-                )
 
     @classmethod
     def of(

@@ -1,12 +1,9 @@
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 
 from cucumbervision.accuracy.statistics import (
-    binomial_interval,
     estimate,
     percent_errors,
     resample_weights,
@@ -31,13 +28,6 @@ def test_bootstrap_has_the_width_of_the_standard_error() -> None:
     assert estimate(values, resamples=10_000) == found
 
 
-def test_binomial_interval_by_hand() -> None:
-    # No hit in n: the upper bound solves (1 - p)^n = 0.025.
-    low, high = binomial_interval(0, 30)
-    assert low == 0.0
-    assert high == pytest.approx(1 - 0.025 ** (1 / 30))
-
-
 @pytest.mark.parametrize("quantile", [0.0, 0.25, 0.5, 0.9, 1.0])
 def test_quantiles_are_numpys(quantile: float) -> None:
     values = np.random.default_rng(1).lognormal(size=41)
@@ -60,13 +50,6 @@ def test_all_hits_leave_room_for_doubt() -> None:
     assert found.low == pytest.approx(0.025 ** (1 / 20))
     none = share([False] * 20, list(range(20)))
     assert none.high == pytest.approx(1 - 0.025 ** (1 / 20))
-
-
-def test_nothing_and_one_group_have_no_interval() -> None:
-    assert math.isnan(share([], []).value)
-    one = share([True, False], ["a", "a"])
-    assert (one.value, one.count, one.groups) == (0.5, 2, 1)
-    assert math.isnan(one.low)
 
 
 def test_metrics_by_hand() -> None:

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from cucumbervision.methods.result import INTERVAL_Z, Length
+from cucumbervision.methods.result import Length
 
 
 @pytest.mark.parametrize(
@@ -22,18 +22,6 @@ def test_a_length_lies_inside_its_interval(
     assert (length.low_m, length.high_m) == (ends_m or (0.198, 0.248))
     moved = replace(length, value_m=0.3)
     assert moved.high_m == 0.3
-
-
-def test_length_at_an_end_of_its_interval_gives_the_geometric_middle() -> None:
-    sides = Length(0.20, low_m=0.225, high_m=0.288).sides
-    assert sides is not None
-    assert sides[0] == pytest.approx(0.24)
-    assert sides[1] == pytest.approx(sides[2])
-
-
-def test_standard_deviation_of_a_symmetric_interval() -> None:
-    length = Length(0.25, low_m=0.25 / 1.02, high_m=0.25 * 1.02)
-    assert length.relative_sd == pytest.approx(math.log(1.02) / INTERVAL_Z)
 
 
 @pytest.mark.parametrize("ends", [(None, 0.3), (0.26, 0.24), (-0.1, 0.2), (0.1, math.nan)])

@@ -63,10 +63,6 @@ def test_visibility_of_the_ends(visibility: tuple[float, ...], flags: tuple[str,
     assert end_flags(None, line(visibility)) == flags
 
 
-def test_without_keypoints_nothing_is_said() -> None:
-    assert end_flags(bar(40, 240), None) == ()
-
-
 def test_keypoints_on_one_spot_are_no_line() -> None:
     spot = np.column_stack([np.full((5, 2), 60.0), np.ones(5)])
     assert end_flags(bar(40, 240), spot) == ()

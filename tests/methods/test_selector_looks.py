@@ -23,7 +23,7 @@ from cucumbervision.methods.intervals import (
     look_features,
 )
 from cucumbervision.methods.result import Fruit, MethodName, TubeFit
-from cucumbervision.methods.selector import DOUBTFUL, end_flag, measure_fruit, with_end_looks
+from cucumbervision.methods.selector import measure_fruit, with_end_looks
 from cucumbervision_lab.scenes.bodies import arc_tube, rotation
 from cucumbervision_lab.scenes.scene import Scene, render
 
@@ -175,9 +175,3 @@ def test_masks_that_no_network_drew_are_not_looked_at(
     look = Looker(TRUE, TRUE)
     assert with_end_looks(picture, fruit, look, models=MODELS) == fruit
     assert look.batches == []
-
-
-def test_places_are_four() -> None:
-    places = {end_flag(np.array(out)) for out in ([0, 1.0], [0, -1.0], [1.0, 0], [-1.0, 0])}
-    assert len(places) == 4
-    assert 0 < DOUBTFUL < 1

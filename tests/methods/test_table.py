@@ -81,8 +81,3 @@ def test_only_what_was_asked_runs(region: Region) -> None:
         MethodName.M1,
         MethodName.M5,
     ]
-
-
-def test_a_method_that_is_not_there_is_refused(region: Region) -> None:
-    with pytest.raises(KeyError, match="M7"):
-        run_methods(region, ["M7"])

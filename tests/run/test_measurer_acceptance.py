@@ -47,13 +47,6 @@ def test_a_cucumber_of_74_cm_is_too_thick_and_says_so() -> None:
     assert all(Flag.DEPTH_UNIT in one.flags for one in fruit)
 
 
-@pytest.mark.parametrize("name", ["simulated-bench", "simulated-row-a", "simulated-row-b"])
-def test_bundled_fruit_are_possible(name: str) -> None:
-    for fruit in Measurer(MeasureOptions(instances="dataset")).measure(scaled(1, name)).fruit:
-        assert fruit.length is not None
-        assert Flag.DEPTH_UNIT not in fruit.flags
-
-
 def raw(length_m: float, width_m: float, reason: Reason) -> tuple[Fruit, Capture]:
     """A fruit that M5 measured, M6's tube having failed, on a bar 1 m away: 1 px is 2 mm."""
     capture = scaled(1)

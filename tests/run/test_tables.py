@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import Any
 
 import openpyxl
-import pytest
 
 from cucumbervision.run.fields import FIELDS
 from cucumbervision.run.tables import MOST_EXCEL_ROWS, excel_limit, write_workbook
@@ -48,8 +47,3 @@ def test_a_sheet_of_excel_ends_with_a_word(tmp_path: Path) -> None:
     assert [cell.value for cell in book["Fruit"]["A"]] == ["capture", "a", "b"]
     assert "the last 1 fruit are in measurements.csv" in book["Summary"]["B1"].value
     assert MOST_EXCEL_ROWS == 2**20 - 1
-
-
-def test_a_workbook_that_cannot_be_written_is_an_error_of_the_system(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError):
-        write_workbook(tmp_path / "nowhere" / "a.xlsx", [], [])

@@ -4,22 +4,12 @@ import numpy as np
 import pytest
 
 from cucumbervision.tube.shape import (
-    align_near,
     arc_positions,
-    bin_centroids,
     depth_gate,
     natural_spline,
     points_along,
     principal_axis,
 )
-
-
-def test_a_straight_line_has_its_own_length() -> None:
-    vertices = np.outer(np.array([0.0, 0.1, 0.25, 1.0]), [0.3, 0.0, 0.4])
-    length, path = natural_spline(vertices)
-    assert length == pytest.approx(0.5, abs=1e-12)
-    assert path[0] == pytest.approx(vertices[0])
-    assert path[-1] == pytest.approx(vertices[-1])
 
 
 def test_a_helix_has_its_analytic_length() -> None:
@@ -41,13 +31,6 @@ def test_a_spline_through_three_points_by_hand() -> None:
     _, path = natural_spline(np.array([[0.0, 0, 5], [1.0, 1, 5], [2.0, 0, 5]]), 5)
     assert path[:, 1] == pytest.approx([0, 11 / 16, 1, 11 / 16, 0])
     assert path[:, 2] == pytest.approx(5)
-
-
-def test_two_points_make_a_straight_line_of_as_many_samples_as_asked() -> None:
-    length, path = natural_spline(np.array([[0.0, 0, 0], [0.3, 0.4, 0]]), 11)
-    assert length == pytest.approx(0.5)
-    assert len(path) == 11
-    assert len(natural_spline(np.array([[0.0, 0, 0], [0.3, 0.4, 0]]))[1]) == 1000
 
 
 def test_points_along_a_bent_line() -> None:
@@ -76,15 +59,3 @@ def test_the_gate_keeps_its_own_border() -> None:
     points = np.stack([z, z, z], axis=1)
     assert depth_gate(points, 0.25)[:, 2].tolist() == [0.25, 0.5, 0.75]
     assert depth_gate(points, 0.2499)[:, 2].tolist() == [0.5]
-
-
-def test_bins_with_too_few_points_are_skipped() -> None:
-    x = np.array([0.0, 0.1, 0.2, 5.0, 9.8, 9.9, 10.0])
-    points = np.stack([x, 2 * x, 0 * x], axis=1)
-    centroids = bin_centroids(points, x, bins=5, at_least=3)
-    assert centroids == pytest.approx(np.array([[0.1, 0.2, 0.0], [9.9, 19.8, 0.0]]))
-
-
-def test_positions_are_measured_from_the_centroid() -> None:
-    cloud = align_near(np.array([[1.0, 0.0, 0.5], [2.0, 0.0, 0.5], [6.0, 0.0, 0.5]]), 0.1)
-    assert cloud.along_m == pytest.approx([-2.0, -1.0, 3.0])

@@ -35,10 +35,11 @@ from cucumbervision_greenhouse.rounds.forecasting import (
     midnight_s,
     read_today,
 )
-from cucumbervision_greenhouse.rounds.from_store import RoundContent, read_round
 from cucumbervision_greenhouse.rounds.fruit_table import (
+    RoundContent,
     fruit_table,
     hanging_lengths_m,
+    read_round,
     round_doubts,
     round_figures,
 )

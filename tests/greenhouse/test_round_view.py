@@ -31,7 +31,7 @@ from cucumbervision_greenhouse.exports.build import RoundTables, round_tables
 from cucumbervision_greenhouse.exports.writers import write_exports
 from cucumbervision_greenhouse.forecast.picking import Ready, ready_on
 from cucumbervision_greenhouse.rounds.forecasting import forecast_today
-from cucumbervision_greenhouse.rounds.from_store import find_round
+from cucumbervision_greenhouse.rounds.fruit_table import find_round
 from cucumbervision_greenhouse.rounds.merge_and_link import merge_round
 from cucumbervision_greenhouse.store.records import FruitRow, Round, StopRecord, Verdict, key_of
 from cucumbervision_greenhouse.store.repository import Store

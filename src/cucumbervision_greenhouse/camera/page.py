@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import struct
 import time
+from contextlib import suppress
 from dataclasses import asdict
 from functools import lru_cache
 from pathlib import Path
@@ -29,7 +30,7 @@ from cucumbervision.run.overlay import as_jpeg
 from cucumbervision_greenhouse import resources, round_view, tasks
 from cucumbervision_greenhouse.answers import Key, Sent, answer, store_of
 from cucumbervision_greenhouse.camera import cameras
-from cucumbervision_greenhouse.camera.shutter import Press, Shutter
+from cucumbervision_greenhouse.camera.shutter import Shutter
 from cucumbervision_greenhouse.fruit_pictures import (
     PICTURE_FILES,
     depth_picture,
@@ -175,20 +176,24 @@ def walk(store: Store, round_key: str, source: str) -> dict[str, Any]:
     if source not in ("camera", "replay"):
         source = "replay" if cameras.replay_named() else "camera"
     round_summary = next((x for x in rounds if round_key in ("", x.key)), None)
-    home = round_summary.key if round_summary else ""
-    if (preview := _preview_of(source)) is not None and preview.simulated:
-        home = DEMONSTRATION
+    home = opened = round_summary.key if round_summary else ""
+    with suppress(CucumberVisionError):
+        preview = cameras.feed(source).preview().capture
+        home = DEMONSTRATION if preview is not None and preview.simulated else home
     stops = resources.store().stops(home) if any(x.key == home for x in rounds) else []
     waiting = [x.stop for x in resources.waiting().captures() if x.round_key == home]
     place, last = next_place([*stops, *waiting]), stops[-1] if stops else None
     aside = [x for x in resources.waiting().set_aside() if x.round_key == home]
-    progress = tasks.progress(home)
+    progress, action = tasks.progress(home), _last_action(store, home)
+    first = progress.first_words
+    if opened and home != opened and not first:  # the open round itself may have stops
+        first = _("No photo in the round 'Demonstration' yet: each photo's result is shown here")
     return {
         "now_s": time.time(),
         "zone_s": time.localtime().tm_gmtoff,
         "rounds": [{"key": x.key, "name": round_name(x)} for x in rounds],
         "houses": resources.houses(rounds),
-        "round": round_summary.key if round_summary else "",
+        "round": opened,
         "missing": bool(round_key) and round_summary is None,
         "house": round_summary.house if round_summary else "",
         "home": home,
@@ -199,7 +204,7 @@ def walk(store: Store, round_key: str, source: str) -> dict[str, Any]:
         "from": last and {"key": last.key, **_place(last)},
         "sides": sides_of(stops),
         "work": progress.told,
-        "first": progress.first_words or _no_photo(home, round_summary),
+        "first": first,
         "doubts": [
             words_of(line) for x in rounds if x.key == home for line in round_view.doubts_of(x)
         ],
@@ -214,34 +219,14 @@ def walk(store: Store, round_key: str, source: str) -> dict[str, Any]:
         if aside
         else tasks.measuring_fault(),
         "last": _last_stop(round_summary, last) if round_summary and last else None,
-        "done": _done(store, home),
+        "done": action and {"at_s": action.at_s, "words": action_words(action)},
     }
-
-
-def _no_photo(home: str, round_summary: Round | None) -> str:
-    """Return the words where a photo goes into another round than the open one: it has stops."""
-    if round_summary is None or home == round_summary.key:
-        return ""
-    return _("No photo in the round 'Demonstration' yet: each photo's result is shown here")
 
 
 def _rows(stops: Sequence[Stop | StopRecord]) -> dict[str, dict[str, Any]]:
     """Return where the walk of each row goes on, by the rows' names."""
     rows = dict.fromkeys(stop.row or "" for stop in stops)
     return {row: asdict(next_place([x for x in stops if (x.row or "") == row])) for row in rows}
-
-
-def _done(store: Store, home: str) -> dict[str, Any] | None:
-    """Return the viewer's last action in a round other than a press, for *Undo*."""
-    action = _last_action(store, home)
-    return None if action is None else {"at_s": action.at_s, "words": action_words(action)}
-
-
-def _preview_of(source: str) -> Any:
-    try:
-        return cameras.feed(source).preview().capture
-    except CucumberVisionError:
-        return None
 
 
 def _last_stop(round_summary: Round, last: StopRecord) -> dict[str, Any]:
@@ -310,7 +295,7 @@ def _pressed(sent: SentPress, open_rounds: set[str]) -> Pressed | str | None:
     if sent.round not in open_rounds:
         return _("the round was deleted")
     feed, burst = cameras.feed(sent.source), resources.settings().burst
-    return _shutter().press(feed, burst, sent.round, stop, Press(sent.number, sent.at_s))
+    return _shutter().press(feed, burst, sent.round, stop, sent.number, sent.at_s)
 
 
 def _begin(store: Store, sent: SentRound) -> dict[str, Any]:
@@ -341,7 +326,7 @@ def _outcome(pressed: Pressed | str | None, patience_s: float) -> dict[str, Any]
         return {"state": state, "words": pressed.error, "lost": pressed.is_lost}
     units = resources.settings().units
     words = _("{stop}: saved").format(stop=stop_name(queued.stop, units))
-    if pressed.moved is not None:
+    if queued.stop.position_m != pressed.stop.position_m:
         taken = _("Another stop is already at {position}")
         words += f". {taken.format(position=position_words(pressed.stop.position_m, units))}"
     where = {"stop": queued.key, "home": queued.round_key, "place": _place(queued.stop)}

@@ -26,22 +26,6 @@ if TYPE_CHECKING:
 _REMEMBERED = 2000  # presses that are remembered, since a browser may send them again
 
 
-@dataclass(frozen=True)
-class Press:
-    """A press of the button.
-
-    Parameters
-    ----------
-    number : str
-        Number given by the browser: a press that is sent twice counts once.
-    at_s : float
-        When, seconds since 1970, by this machine's clock.
-    """
-
-    number: str
-    at_s: float
-
-
 @dataclass(frozen=True, eq=False)
 class Pressed:
     """The outcome of a press.
@@ -50,14 +34,11 @@ class Pressed:
     ----------
     stop : Stop
         Where it was pressed.
-    pressed_s : float
-        When.
     queued : Future of Waiting
         The capture, once it is on disk.
     """
 
     stop: Stop
-    pressed_s: float
     queued: Future[Waiting]
 
     @property
@@ -69,14 +50,6 @@ class Pressed:
     def is_lost(self) -> bool:
         """Whether its picture is no longer held, so that it would be refused again."""
         return self.queued.done() and isinstance(self.queued.exception(), PictureGoneError)
-
-    @property
-    def moved(self) -> Stop | None:
-        """The place that it got instead, if another stop had its place."""
-        if not self.queued.done() or self.queued.exception() is not None:
-            return None
-        stop = self.queued.result().stop
-        return None if stop.position_m == self.stop.position_m else stop
 
 
 class Shutter:
@@ -101,52 +74,64 @@ class Shutter:
         self._pressed: OrderedDict[tuple[str, str], Pressed] = OrderedDict()
 
     def press(
-        self, feed: Feed | FolderFeed, burst: int, round_key: str, stop: Stop, press: Press
+        self,
+        feed: Feed | FolderFeed,
+        burst: int,
+        round_key: str,
+        stop: Stop,
+        number: str,
+        at_s: float,
     ) -> Pressed | None:
         """Grab a burst for a press; return its outcome, or None if it was saved before.
 
         The same press sent again gets the same outcome and makes one stop. If the feed no longer
         holds its picture, the outcome is that error; after another fault, such as a full disk, it
-        is tried again. Returns at once: other threads wait for the burst's last frames and for the
-        disk.
+        is tried again. Returns at once: another thread waits for the burst's last frames and for
+        the disk.
+
+        Parameters
+        ----------
+        feed : Feed or FolderFeed
+            The camera, or what replaces it.
+        burst : int
+            Frames that are fused.
+        round_key : str
+            The open round.
+        stop : Stop
+            Where the button was pressed.
+        number : str
+            Number given by the browser: a press that is sent twice counts once.
+        at_s : float
+            When, seconds since 1970, by this machine's clock.
         """
-        name = (round_key, press.number)
-        at_s = min(press.at_s, time.time())
+        name, at_s = (round_key, number), min(at_s, time.time())
+        key = key_of("press", *name)
         with self._lock:
             before = self._pressed.get(name)
             if before is not None and (before.is_lost or not before.error):
                 return before
-            if self._was_kept(key_of("press", *name)):  # before this program was started
+            # Before this program was started.
+            if self._waiting.holds(key) or self._store.stop_is_deleted(key) is not None:
                 return None
-            parts = feed, burst, round_key, stop, Press(press.number, at_s)
-            self._pressed[name] = Pressed(stop, at_s, self._pool.submit(self._keep, *parts))
+            queued = self._pool.submit(self._keep, feed, burst, round_key, stop, key, at_s)
+            self._pressed[name] = Pressed(stop, queued)
             while len(self._pressed) > _REMEMBERED:
                 self._pressed.popitem(last=False)
             return self._pressed[name]
-
-    def _was_kept(self, key: str) -> bool:
-        return self._waiting.holds(key) or self._store.stop_is_deleted(key) is not None
-
-    def pressed(self, round_key: str) -> list[Pressed]:
-        """Return the remembered presses of a round, the oldest first."""
-        with self._lock:
-            return [press for (key, _), press in self._pressed.items() if key == round_key]
 
     def close(self) -> None:
         """Save all presses, then end."""
         self._pool.shutdown(wait=True)
 
     def _keep(
-        self, feed: Feed | FolderFeed, burst: int, round_key: str, stop: Stop, press: Press
+        self, feed: Feed | FolderFeed, burst: int, round_key: str, stop: Stop, key: str, at_s: float
     ) -> Waiting:
-        capture = feed.grab(burst, press.at_s)
+        capture = feed.grab(burst, at_s)
         home = round_for_capture(self._store, round_key, simulated=capture.simulated)
         waiting = [queued.stop for queued in self._waiting.captures() if queued.round_key == home]
         taken: list[Stop | StopRecord] = [*self._store.stops(home), *waiting]
         stop = replace(unless_taken(stop, taken), step=last_step(taken) + 1)
-        capture = replace(capture, stop=stop, timestamp_s=press.at_s)
-        queued = self._waiting.put(
-            capture, key_of("press", round_key, press.number), home, press.at_s
-        )
+        capture = replace(capture, stop=stop, timestamp_s=at_s)
+        queued = self._waiting.put(capture, key, home, at_s)
         self._on_queued()
         return queued

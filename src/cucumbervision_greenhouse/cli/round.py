@@ -44,7 +44,7 @@ app = typer.Typer(
 @contextmanager
 def opened_round(where: str, name: str) -> Iterator[tuple[Store, Round]]:
     """Open a store and find a round in it; close the store at the end."""
-    from cucumbervision_greenhouse.rounds.from_store import find_round
+    from cucumbervision_greenhouse.rounds.fruit_table import find_round
     from cucumbervision_greenhouse.store.repository import open_store
 
     with open_store(where, create=False) as store:
@@ -246,7 +246,7 @@ def merge(store: StoreName = "house.db", round_: RoundName = "") -> None:
 def settle_round(store: Store, key: str) -> None:
     """Merge a round again and link it; print failures."""
     from cucumbervision.cli.console import screen
-    from cucumbervision_greenhouse.rounds.from_store import find_round
+    from cucumbervision_greenhouse.rounds.fruit_table import find_round
     from cucumbervision_greenhouse.rounds.merge_and_link import settle
 
     if fault := settle(store, key, chosen_profile(None, find_round(store, key))):
@@ -261,7 +261,7 @@ def link(
 ) -> None:
     """Link fruit to those of an earlier round, which may have grown and moved."""
     from cucumbervision.cli.console import columns_table, screen
-    from cucumbervision_greenhouse.rounds.from_store import find_round
+    from cucumbervision_greenhouse.rounds.fruit_table import find_round
     from cucumbervision_greenhouse.rounds.merge_and_link import link_rounds
 
     with opened_round(store, earlier) as (opened, before):
@@ -282,8 +282,7 @@ def show(store: StoreName = "house.db", round_: RoundName = "", profile: Profile
     from cucumbervision.cli.console import columns_table, screen
     from cucumbervision.crop.grades import grade
     from cucumbervision.methods.flags import flag_remarks
-    from cucumbervision_greenhouse.rounds.from_store import read_round
-    from cucumbervision_greenhouse.rounds.fruit_table import fruit_table
+    from cucumbervision_greenhouse.rounds.fruit_table import fruit_table, read_round
 
     def cm(low: float | None, high: float | None = None) -> str:
         return " – ".join(f"{100 * x:.1f}" for x in (low, high) if x is not None)

@@ -24,10 +24,10 @@ from cucumbervision_greenhouse.rounds.forecasting import (
     grades_today,
     lengths_today,
 )
-from cucumbervision_greenhouse.rounds.from_store import read_round
 from cucumbervision_greenhouse.rounds.fruit_table import (
     fruit_table,
     hanging_lengths_m,
+    read_round,
     round_figures,
 )
 from cucumbervision_greenhouse.rounds.merge_and_link import DAY_S, row_counts
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from cucumbervision.run.fields import Cell
     from cucumbervision_greenhouse.forecast.forecast import Counts, Forecast
     from cucumbervision_greenhouse.forecast.picking import Rates
-    from cucumbervision_greenhouse.rounds.from_store import RoundContent
+    from cucumbervision_greenhouse.rounds.fruit_table import RoundContent
     from cucumbervision_greenhouse.store.records import ArtifactRecord, FruitRow, Round
     from cucumbervision_greenhouse.store.repository import Store
 

@@ -28,8 +28,7 @@ from cucumbervision_greenhouse.language import counted, decimal_words, marked, n
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.pages import calibrations, page_elements
 from cucumbervision_greenhouse.pages.page_elements import component
-from cucumbervision_greenhouse.rounds.from_store import read_round
-from cucumbervision_greenhouse.rounds.fruit_table import fruit_table
+from cucumbervision_greenhouse.rounds.fruit_table import fruit_table, read_round
 from cucumbervision_greenhouse.settings import replace_text, truth_folder
 from cucumbervision_greenhouse.store.records import Verdict
 from cucumbervision_greenhouse.words import LENGTH_NAMES, length_words, position_words

@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -635,14 +634,14 @@ def measure_round_again(
                 load = partial(_uncalibrated, store, capture, stop, options)
                 yield Listed(key, CaptureRef(capture.name, capture.frame or 0, load), capture.name)
 
-    measured = measure_all(items(), ResultWorker(measurer), loop.engine, loop.is_cancelled)
     again: dict[str, list[CaptureResult]] = {}
-    for key, group in groupby(measured, lambda pair: pair[0].input):
-        for _, outcome in group:
-            if outcome.value is None or outcome.value.error is not None:
-                failures += outcome.failures
-            else:
-                again.setdefault(key, []).append(outcome.value)
+    for item, outcome in measure_all(
+        items(), ResultWorker(measurer), loop.engine, loop.is_cancelled
+    ):
+        if outcome.value is None or outcome.value.error is not None:
+            failures += outcome.failures
+        else:
+            again.setdefault(item.input, []).append(outcome.value)
         if report is not None:
             report(len(again), len(stops))
     if failures or len(again) < len(stops):

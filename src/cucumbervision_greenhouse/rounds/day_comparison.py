@@ -11,14 +11,13 @@ from typing import TYPE_CHECKING
 from cucumbervision.methods.result import LengthDefinition
 from cucumbervision_greenhouse.forecast.forecast import natural_key
 from cucumbervision_greenhouse.rounds.day_linking import SURE
-from cucumbervision_greenhouse.store.links import LinkKind
+from cucumbervision_greenhouse.store.records import LinkKind
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from cucumbervision_greenhouse.rounds.from_store import RoundContent
-    from cucumbervision_greenhouse.store.links import LinkRecord
-    from cucumbervision_greenhouse.store.records import FruitRow, StopRecord
+    from cucumbervision_greenhouse.rounds.fruit_table import RoundContent
+    from cucumbervision_greenhouse.store.records import FruitRow, LinkRecord, StopRecord
     from cucumbervision_greenhouse.store.repository import Store
 
 _REACH_M = 0.5  # along the row: a camera shows the fruit this far from its stop

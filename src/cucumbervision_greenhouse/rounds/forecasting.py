@@ -17,10 +17,9 @@ from cucumbervision_greenhouse.forecast.forecast import forecast
 from cucumbervision_greenhouse.forecast.growth import FruitState, GrowthPrior, fit_growth
 from cucumbervision_greenhouse.forecast.picking import Pick, PickKind, pick_list
 from cucumbervision_greenhouse.rounds.day_linking import SURE
-from cucumbervision_greenhouse.rounds.from_store import read_round
-from cucumbervision_greenhouse.rounds.fruit_table import fruit_table
+from cucumbervision_greenhouse.rounds.fruit_table import fruit_table, read_round
 from cucumbervision_greenhouse.rounds.merge_and_link import DAY_S
-from cucumbervision_greenhouse.store.links import LinkKind
+from cucumbervision_greenhouse.store.records import LinkKind
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -29,7 +28,7 @@ if TYPE_CHECKING:
     from cucumbervision.methods.result import Length
     from cucumbervision_greenhouse.forecast.forecast import Forecast
     from cucumbervision_greenhouse.forecast.growth import Point
-    from cucumbervision_greenhouse.rounds.from_store import RoundContent
+    from cucumbervision_greenhouse.rounds.fruit_table import RoundContent
     from cucumbervision_greenhouse.store.records import ArtifactRecord, FruitRow, Round
     from cucumbervision_greenhouse.store.repository import Store
 
@@ -334,7 +333,7 @@ def read_today(
     now_s : float
         Now, seconds since 1970.
     content : RoundContent, optional
-        What `from_store.read_round` gave of the round, where it was read already.
+        What `fruit_table.read_round` gave of the round, where it was read already.
     """
     days, age = age_of(round_summary.walked_s, now_s)
     if age is Age.USELESS:

@@ -1,34 +1,268 @@
-"""A round's fruit, each once, with the length of all its views; and the context of one fruit."""
+"""A round from the store: its rows as arrays, and its fruit, each once, with all its views."""
 
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from statistics import fmean, stdev
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cucumbervision.methods.matching import pooled_length
-from cucumbervision.methods.result import INTERVAL_Z
+from cucumbervision.errors import RoundError
+from cucumbervision.methods.matching import ALONG, DEPTH, UP, pooled_length
+from cucumbervision.methods.result import INTERVAL_Z, UNKNOWN_SD, LengthDefinition
 from cucumbervision.methods.table import AVAILABLE
 from cucumbervision.run.fields import table_row
 from cucumbervision.run.tables import Summary
 from cucumbervision_greenhouse.forecast.forecast import natural_key
-from cucumbervision_greenhouse.rounds.from_store import (
-    CONTENTS,
-    RoundContent,
-    counted_fruit,
-    stored_merging,
-)
+from cucumbervision_greenhouse.rounds.poses import MIDDLE_SD_M, offset_of, stored_pose
+from cucumbervision_greenhouse.rounds.row_views import RowStops, RowViews
 from cucumbervision_greenhouse.store.records import Verdict
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+    from numpy.typing import NDArray
 
     from cucumbervision.run.fields import Cell
-    from cucumbervision_greenhouse.store.records import FruitRow
+    from cucumbervision_greenhouse.rounds.row_views import Ints
+    from cucumbervision_greenhouse.store.records import FruitRow, Round, StopRecord
+    from cucumbervision_greenhouse.store.repository import Store
+
+_CAMERA_SD_M = 0.03  # standard deviation of a camera from its usual height and distance
+_USUAL_REACH = (0.687, 0.384)  # a D435's colour camera, for stops without a stored camera
+_LEAST_SD = 0.01  # of a length, relative
+_DIAMETER_SD = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class StoredRow:
+    """One row of a round.
+
+    Parameters
+    ----------
+    name : str
+        The row; empty where it has no name.
+    stops : RowStops
+        Its stops with a position.
+    views : RowViews
+        Their detections with a place, rejected ones left out.
+    stop_keys, fruit_keys : tuple of str
+        Keys of both, in order.
+    sides : tuple of str
+        Names of the sides: 0, and 1 where there is one.
+    unplaced : int
+        Detections that cannot be merged: no position, or no depth.
+    """
+
+    name: str
+    stops: RowStops
+    views: RowViews
+    stop_keys: tuple[str, ...]
+    fruit_keys: tuple[str, ...]
+    sides: tuple[str, ...]
+    unplaced: int
+
+
+CONTENTS = 8
+"""Rounds whose fruit and counts are kept, once computed from their content."""
+
+
+@dataclass(frozen=True, eq=False)
+class RoundContent:
+    """The stored content of a round, read once and shared.
+
+    Parameters
+    ----------
+    key : str
+        The round's.
+    stops : tuple of StopRecord
+        Its stops.
+    views : tuple of FruitRow
+        Its detections, in groups.
+    """
+
+    key: str
+    stops: tuple[StopRecord, ...]
+    views: tuple[FruitRow, ...]
+
+    @cached_property
+    def rows(self) -> tuple[StoredRow, ...]:
+        """Its rows as arrays, computed once."""
+        return tuple(_load_rows(self))
+
+    @cached_property
+    def stop_of(self) -> Mapping[str, StopRecord]:
+        """Its stops by key."""
+        return {stop.key: stop for stop in self.stops}
+
+    @cached_property
+    def group_of(self) -> Mapping[str, str]:
+        """The fruit of each view, by the view's key."""
+        return {view.key: view.group for view in self.views}
+
+
+def find_round(store: Store, name: str = "") -> Round:
+    """Find a round by its key, the start of it, or its name; the newest without one.
+
+    Raises
+    ------
+    RoundError
+        If no key starts so, or several do.
+    """
+    rounds = store.rounds()
+    name_or_key = name.strip().lower()
+    named = [walk for walk in rounds if walk.name == name or walk.key == name_or_key]
+    # A short number is never the start of a key: it may be a mistyped name.
+    is_start = not name_or_key.isdecimal() or len(name_or_key) > 5
+    matches = named or [x for x in rounds if is_start and x.key.startswith(name_or_key)]
+    if not name_or_key:
+        matches = rounds[:1]
+    if len(matches) == 1:
+        return matches[0]
+    problem = "several rounds are" if matches else "no round is"
+    raise RoundError(f"{problem} called '{name}'", source=store.name, remedy="see `round list`")
+
+
+def read_round(store: Store, round_key: str) -> RoundContent:
+    """Read a round.
+
+    Raises
+    ------
+    StoreError
+        If it is not there.
+    """
+    views = store.detections(round_key)  # first: a stop may be saved meanwhile
+    return RoundContent(round_key, tuple(store.stops(round_key)), tuple(views))
+
+
+def counted_fruit(views: Iterable[FruitRow]) -> list[FruitRow]:
+    """Return the fruit of a round, each by its representative view; rejected ones are left out."""
+    return [view for view in views if view.best and view.verdict is not Verdict.REJECTED]
+
+
+def _load_rows(content: RoundContent) -> Iterator[StoredRow]:
+    """Yield a round's rows as arrays.
+
+    Raises
+    ------
+    RoundError
+        If a row has more than two sides.
+    """
+    stops: dict[str, list[StopRecord]] = defaultdict(list)
+    for stop in content.stops:
+        stops[stop.row or ""].append(stop)
+    views: dict[str, list[FruitRow]] = defaultdict(list)
+    for view in content.views:
+        # A stop may be saved meanwhile.
+        if view.verdict is not Verdict.REJECTED and view.stop_key in content.stop_of:
+            views[view.row or ""].append(view)
+    for name in sorted(stops):
+        yield _row(name, stops[name], views[name])
+
+
+def _reach(camera: Mapping[str, Any]) -> tuple[float, float]:
+    size = [camera.get(name) for name in ("width", "fx", "height", "fy")]
+    if not all(isinstance(number, int | float) and number > 0 for number in size):
+        return _USUAL_REACH
+    width, fx, height, fy = (float(number) for number in size if number is not None)
+    return width / 2 / fx, height / 2 / fy
+
+
+def _row(name: str, stops: Sequence[StopRecord], fruit: Sequence[FruitRow]) -> StoredRow:
+    sides = tuple(sorted({stop.side or "" for stop in stops}))
+    if len(sides) > 2:
+        raise RoundError(
+            "row '{row}' has {count} sides: {sides}",
+            remedy="call the two sides of a row by two names",
+            row=name,
+            count=len(sides),
+            sides=", ".join(sides),
+        )
+    placed = [stop for stop in stops if stop.position_m is not None]
+    index = {stop.key: k for k, stop in enumerate(placed)}
+    poses = {stop.key: stored_pose(stop.pose_now, stop.side) for stop in stops}
+    offsets = [(view, offset_of(view, poses[view.stop_key])) for view in fruit]
+    places = [
+        (view, place) for view, place in offsets if view.stop_key in index and place is not None
+    ]
+    row_stops = _row_stops(placed, sides, poses)
+    return StoredRow(
+        name=name,
+        stops=row_stops,
+        views=_row_views(places, index, row_stops.side),
+        stop_keys=tuple(index),
+        fruit_keys=tuple(view.key for view, _ in places),
+        sides=sides,
+        unplaced=len(fruit) - len(places),
+    )
+
+
+def _row_stops(
+    stops: Sequence[StopRecord], sides: tuple[str, ...], poses: Mapping[str, NDArray[np.float64]]
+) -> RowStops:
+    """Return stops with a position as arrays; a stop's pose gives the camera's height."""
+    at_m, sd_m = np.zeros((len(stops), 3)), np.full((len(stops), 3), _CAMERA_SD_M)
+    at_m[:, ALONG] = [stop.position_m or 0.0 for stop in stops]
+    at_m[:, UP] = [poses[stop.key][UP, 3] for stop in stops]
+    sd_m[:, ALONG] = [stop.position_sd_m or MIDDLE_SD_M for stop in stops]
+    side = np.array([sides.index(stop.side or "") for stop in stops], np.int64)
+    reach = np.array([_reach(stop.camera) for stop in stops]).reshape(-1, 2)
+    return RowStops(at_m, sd_m, side, reach)
+
+
+def _row_views(
+    places: Sequence[tuple[FruitRow, tuple[NDArray[np.float64], NDArray[np.float64]]]],
+    index: Mapping[str, int],
+    side: Ints,
+) -> RowViews:
+    """Return views with their offsets as arrays; `index` and `side` are of the row's stops."""
+    views = [view for view, _ in places]
+    at_stop = np.array([index[view.stop_key] for view in views], np.int64)
+    captures = {place: k for k, place in enumerate({(v.stop_key, v.capture): 0 for v in views})}
+    offset, offset_sd = (
+        np.array([place for _, place in places], np.float64).reshape(-1, 2, 3).transpose(1, 0, 2)
+    )
+    offset[:, DEPTH] *= np.where(side[at_stop] == 1, -1.0, 1.0)
+    length = np.array([_length(view) for view in views], np.float64).reshape(-1, 2)
+    return RowViews(
+        stop=at_stop,
+        capture=np.array([captures[v.stop_key, v.capture] for v in views], np.int64),
+        offset_m=offset,
+        offset_sd_m=offset_sd,
+        length_m=length[:, 0],
+        length_sd=length[:, 1],
+        diameter_m=np.array([view.diameter_max_m or np.nan for view in views], np.float64),
+        diameter_sd=np.full(len(views), _DIAMETER_SD),
+        partial=np.array([view.partial for view in views], bool),
+        score=np.array([view.score for view in views], np.float64),
+        view_score=np.array([view.view_score for view in views], np.float64),
+    )
+
+
+def _length(view: FruitRow) -> tuple[float, float]:
+    """Return the length, NaN where nothing is known of it, and its relative SD."""
+    length = view.known_length
+    if length is None or not length.value_m > 0:
+        return np.nan, UNKNOWN_SD
+    # Lengths of another kind may differ by more than any of them errs.
+    least_sd = _LEAST_SD if length.kind in set(LengthDefinition) else UNKNOWN_SD
+    return length.value_m, max(length.relative_sd or UNKNOWN_SD, least_sd)
+
+
+def stored_merging(content: RoundContent, row: StoredRow) -> tuple[Ints, RowStops]:
+    """Return each view's fruit, and the stops, as a row was merged and saved."""
+    names = [content.group_of[key] for key in row.fruit_keys]
+    _, cluster = np.unique(np.array(names, dtype=str), return_inverse=True)
+    at_m, sd_m = row.stops.at_m.copy(), row.stops.sd_m.copy()
+    for k, key in enumerate(row.stop_keys):
+        stop = content.stop_of[key]
+        if stop.fitted_m is not None:
+            at_m[k, ALONG], sd_m[k, ALONG] = stop.fitted_m, stop.fitted_sd_m or sd_m[k, ALONG]
+    return cluster, replace(row.stops, at_m=at_m, sd_m=sd_m)
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from cucumbervision.errors import RoundError, StoreError
 from cucumbervision.methods.matching import ALONG
 from cucumbervision.names import house_key
 from cucumbervision_greenhouse.rounds.day_linking import link_days
-from cucumbervision_greenhouse.rounds.from_store import (
+from cucumbervision_greenhouse.rounds.fruit_table import (
     CONTENTS,
     RoundContent,
     counted_fruit,
@@ -25,15 +25,15 @@ from cucumbervision_greenhouse.rounds.merge import merge_row
 from cucumbervision_greenhouse.rounds.poses import sign_of_side
 from cucumbervision_greenhouse.rounds.row_views import row_fruit
 from cucumbervision_greenhouse.rounds.walking import is_demonstration, refuse_taken
-from cucumbervision_greenhouse.store.links import LinkKind, LinkRecord
 from cucumbervision_greenhouse.store.marks import MOVE_ROUND, STOP_EDITS
+from cucumbervision_greenhouse.store.records import LinkKind, LinkRecord
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from cucumbervision.capture.frames import Stop
     from cucumbervision.crop.profiles import CropProfile
-    from cucumbervision_greenhouse.rounds.from_store import StoredRow
+    from cucumbervision_greenhouse.rounds.fruit_table import StoredRow
     from cucumbervision_greenhouse.rounds.row_views import RowStops
     from cucumbervision_greenhouse.store.records import Round, StopRecord
     from cucumbervision_greenhouse.store.repository import Store

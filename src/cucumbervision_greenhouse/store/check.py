@@ -14,8 +14,6 @@ from cucumbervision.errors import StoredImageError
 from cucumbervision_greenhouse.store.schema import CAPTURES
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from cucumbervision_greenhouse.store.engine import Database
 
 _GRACE_S = 3600.0  # longer than any program takes between a picture and the stop that names it
@@ -73,18 +71,19 @@ def check_store(store: Database, *, remove: bool = False, grace_s: float = _GRAC
     with store.reading() as connection:
         lines = connection.execute(select(*_PICTURES))
         names = sorted({name for line in lines for name in line if name is not None})
-    missing, damaged = [], []
-    for name in names:
-        path = store.images.path(name)
-        if not path.exists():
-            missing.append(path)
-        elif not _whole(store, name):
-            damaged.append(path)
+    named = {name: store.images.path(name) for name in names}
+    missing = [path for path in named.values() if not path.exists()]
+    present = [name for name, path in named.items() if path not in set(missing)]
+    damaged = [named[name] for name in present if not _is_whole(store, name)]
     orphans = []
-    for path in _orphans(store, names, time.time() - grace_s):
-        orphans.append(path)
-        if remove:
-            path.unlink(missing_ok=True)
+    for path in sorted(set(store.images.files()) - set(named.values())):
+        # Another program may remove or finish it; one that puts such a picture again first makes
+        # its time of change now.
+        with suppress(FileNotFoundError):
+            if path.stat().st_mtime < time.time() - grace_s:
+                orphans.append(path)
+                if remove:
+                    path.unlink(missing_ok=True)
     return StoreCheck(
         pictures=len(names),
         missing=tuple(missing),
@@ -95,24 +94,12 @@ def check_store(store: Database, *, remove: bool = False, grace_s: float = _GRAC
     )
 
 
-def _whole(store: Database, name: str) -> bool:
+def _is_whole(store: Database, name: str) -> bool:
     try:
         store.images.read(name)
     except StoredImageError:
         return False
     return True
-
-
-def _orphans(store: Database, names: list[str], before_s: float) -> Iterator[Path]:
-    """Yield the files that no stop names and nobody used lately.
-
-    A writer that puts such a picture again first makes its time of change now.
-    """
-    named = {store.images.path(name) for name in names}
-    for path in sorted(store.images.files()):
-        with suppress(FileNotFoundError):  # another program removed or finished it
-            if path not in named and path.stat().st_mtime < before_s:
-                yield path
 
 
 def _faults(store: Database) -> tuple[str, ...]:

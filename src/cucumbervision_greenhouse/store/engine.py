@@ -9,8 +9,7 @@ import json
 import os
 import re
 import sqlite3
-import time
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from copy import copy
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -201,26 +200,11 @@ def _open_read_only(path: Path) -> sqlite3.Connection:
 
 def _prepare_sqlite(connection: Any, _record: Any) -> None:
     connection.isolation_level = None  # transactions begin where _begin_sqlite begins them
-    cursor = connection.cursor()
-    _use_wal(cursor)
+    # A file stays in WAL mode. While another writes to one that is not, SQLite refuses to switch.
+    with suppress(sqlite3.OperationalError):
+        connection.execute("PRAGMA journal_mode = WAL")
     for pragma in ("synchronous = FULL", "foreign_keys = ON"):
-        cursor.execute(f"PRAGMA {pragma}")
-    cursor.close()
-
-
-def _use_wal(cursor: sqlite3.Cursor) -> None:
-    """Switch a file to WAL mode, which SQLite refuses without waiting while another opens it."""
-    until_s = time.monotonic() + BUSY_TIMEOUT_S
-    while True:
-        try:
-            cursor.execute("PRAGMA journal_mode = WAL")
-        except sqlite3.OperationalError as error:
-            is_busy = error.sqlite_errorcode & 0xFF == sqlite3.SQLITE_BUSY  # or a kind of it
-            if not is_busy or time.monotonic() > until_s:
-                raise
-            time.sleep(0.01)
-        else:
-            return
+        connection.execute(f"PRAGMA {pragma}")
 
 
 def _begin_sqlite(connection: Connection) -> None:

@@ -10,13 +10,12 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING, Any
 
-from sqlalchemy import and_, delete, func, insert, or_, select, update
+from sqlalchemy import and_, delete, insert, or_, select, update
 
 from cucumbervision.errors import StoreConflictError, StoreError
-from cucumbervision.names import checked_name, house_key, same_house
+from cucumbervision.names import checked_name, same_house
 from cucumbervision_greenhouse.store.engine import DEVICE, SIGNED_BY, Database
-from cucumbervision_greenhouse.store.links import LinkKind, LinkRecord
-from cucumbervision_greenhouse.store.records import Verdict
+from cucumbervision_greenhouse.store.records import LinkKind, LinkRecord, Verdict
 from cucumbervision_greenhouse.store.schema import CAPTURES, FRUIT, LINKS, MARKS, ROUNDS, STOPS
 
 if TYPE_CHECKING:
@@ -133,8 +132,7 @@ class Marks(Database):
         """Move rounds to a house: all of one house to rename it, or to merge it with another.
 
         The house is the known one where the names differ by no more than case, spaces or the word
-        'house', unless only the spelling changes. Links of growth that were computed to rounds of
-        other houses are removed.
+        'house', unless only the spelling changes. Their computed links of growth are removed.
 
         Returns
         -------
@@ -157,7 +155,7 @@ class Marks(Database):
             moved = [line for line in lines if line.house != house]
             for line in moved:
                 _edit(connection, ROUNDS, line.key, MOVE_ROUND, {"house": house}, before)
-            _forget_other_houses(connection, [line.id for line in moved])
+            _forget_growth(connection, [line.id for line in moved])
         return len(moved)
 
     def delete_round(self, key: str) -> int:
@@ -193,27 +191,8 @@ class Marks(Database):
             if "before" in mark.details:
                 _change_line(connection, mark.details, restore=True)
             if mark.kind == MOVE_ROUND:
-                _forget_other_houses(connection, [mark.round_id])
+                _forget_growth(connection, [mark.round_id])
         return made
-
-    def restore_round(self, key: str) -> int:
-        """Put a deleted round back into the list of rounds.
-
-        Raises
-        ------
-        StoreError
-            If it was not deleted.
-        """
-        with self.reading() as connection:
-            deleted = select(func.max(MARKS.c.id)).where(
-                MARKS.c.round_id == round_id_of(connection, key),
-                MARKS.c.kind == "delete-round",
-                _not_undone(),
-            )
-            number = connection.execute(deleted).scalar()
-        if number is None:
-            raise StoreError("round {key} is not deleted", remedy="see the list of rounds", key=key)
-        return self.undo(number=number)
 
 
 def _not_undone() -> Any:
@@ -390,18 +369,11 @@ def forget_links(connection: Connection, kind: LinkKind, rounds: tuple[int, int]
     )
 
 
-def _forget_other_houses(connection: Connection, round_ids: Sequence[int]) -> None:
-    """Remove the links of growth that an algorithm made from rounds to those of other houses."""
-    house_of = {
-        number: house_key(house)
-        for number, house in connection.execute(select(ROUNDS.c.id, ROUNDS.c.house))
-    }
+def _forget_growth(connection: Connection, round_ids: Sequence[int]) -> None:
+    """Remove computed links of growth of rounds that change house: they are linked again there."""
     ends = LINKS.c.first_round_id, LINKS.c.second_round_id
-    touching = or_(*(end.in_(round_ids) for end in ends))
-    linked = select(*ends).where(LINKS.c.kind == str(LinkKind.GROWTH), touching).distinct()
-    for first, second in connection.execute(linked).all():
-        if house_of[first] != house_of[second]:
-            forget_links(connection, LinkKind.GROWTH, (first, second))
+    of_rounds = or_(*(end.in_(round_ids) for end in ends))
+    connection.execute(delete(LINKS).where(LINKS.c.kind == str(LinkKind.GROWTH), of_rounds))
 
 
 def line_of(connection: Connection, table: Table, key: str) -> Any:

@@ -65,8 +65,8 @@ def _from_3() -> None:
     )
     added = _lines(sa.select(old["marks"]).where(old["marks"].c.slot == "added"))
     gone = {mark["fruit_id"] for mark in added if mark["ended_by_id"] is not None}
-    lengths: dict[int, dict[str, float]] = defaultdict(lambda: dict.fromkeys(_LENGTHS))
-    for line in _lines(sa.select(measured.c["fruit_id", "method", "length_m"])):
+    lengths: dict[int, dict[str, Any]] = defaultdict(lambda: dict.fromkeys(_LENGTHS))
+    for line in _lines(sa.select(*measured.c["fruit_id", "method", "length_m"])):
         lengths[line["fruit_id"]][f"{line['method'].lower()}_m"] = line["length_m"]
     _copy(
         FRUIT,
@@ -172,7 +172,7 @@ def _copy_marks(old: dict[str, sa.Table]) -> None:
             details[mark["action_id"]]["row"] = _row_of(mark["details"])
         elif mark["slot"] == "verdict":
             accepted.add(mark["action_id"])
-    key_of = {line["id"]: line["key"] for line in _lines(sa.select(fruit.c["id", "key"]))}
+    key_of = {line["id"]: line["key"] for line in _lines(sa.select(*fruit.c["id", "key"]))}
     for link in _lines(sa.select(links).where(links.c.action_id.is_not(None))):
         rounds = {link["first_round_id"], link["second_round_id"]}
         made = details[link["action_id"]]

@@ -391,6 +391,25 @@ class StopRecord:
         return level and (not (self.camera and stop.camera) or self.camera == stop.camera)
 
 
+class LinkKind(StrEnum):
+    """How two detections are related."""
+
+    SAME = "same"  # one fruit, seen twice in a round
+    GROWTH = "growth"  # one fruit on an earlier and a later round
+    APART = "apart"  # two fruit, decided by hand: no algorithm may link them
+
+
+@dataclass(frozen=True)
+class LinkRecord:
+    """Two detections and their relation; for growth the earlier one is first."""
+
+    kind: LinkKind
+    first: str
+    second: str
+    score: float | None = None
+    by_hand: bool = False
+
+
 @dataclass(frozen=True)
 class LogEntry:
     """What a person decided.

@@ -16,7 +16,6 @@ from cucumbervision.errors import StoreError, wrap_reader_errors
 from cucumbervision.names import checked_name, same_house
 from cucumbervision_greenhouse.store.engine import database_url, make_engine, named, prepare
 from cucumbervision_greenhouse.store.images import ImageStore
-from cucumbervision_greenhouse.store.links import LinkKind, group_detections
 from cucumbervision_greenhouse.store.marks import (
     IS_ACTIVE,
     NOT_UNDONE,
@@ -35,6 +34,8 @@ from cucumbervision_greenhouse.store.records import (
     CaptureRecord,
     DetectionDetail,
     FruitRow,
+    LinkKind,
+    LinkRecord,
     LogEntry,
     Round,
     Saved,
@@ -53,11 +54,10 @@ from cucumbervision_greenhouse.store.schema import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from sqlalchemy import ColumnElement, Connection, Table
 
-    from cucumbervision_greenhouse.store.links import LinkRecord
 
 _ROUND_CELLS = ("key", "name", "house", "started_s", "profile", "note")
 _STOP_CELLS = (
@@ -392,6 +392,19 @@ class Store(Marks):
         of_person = [line for line, who in zip(lines, by, strict=True) if who == own]
         return of_person or [line for line, who in zip(lines, by, strict=True) if who == ("", "")]
 
+    def restore_round(self, key: str) -> int:
+        """Put a deleted round back into the list of rounds.
+
+        Raises
+        ------
+        StoreError
+            If it was not deleted.
+        """
+        for mark in self.log(key, limit=None):
+            if mark.kind == "delete-round" and not mark.undone:
+                return self.undo(number=mark.number)
+        raise StoreError("round {key} is not deleted", remedy="see the list of rounds", key=key)
+
     def _decoding(self) -> Any:
         """Report what no record can be made of as damaged data."""
         remedy = "copy the database away, and check it with `round check`"
@@ -565,6 +578,56 @@ def _views_of(
         values |= {"round_key": round_key, "corrected": "row" in decided, "group": line["key"]}
         views.append(FruitRow(**values))
     return views if key is not None else _grouped(views, links_of(connection, round_id))
+
+
+def group_detections(keys: Iterable[str], links: Iterable[LinkRecord]) -> list[set[str]]:
+    """Group the detections that links identify as the same fruit.
+
+    What was linked by hand joins first, then the surest. A link that would bring two detections
+    together that were parted by hand joins nothing.
+
+    Parameters
+    ----------
+    keys : iterable of str
+        The detections.
+    links : iterable of LinkRecord
+        Links of any kind; links of growth are ignored.
+
+    Returns
+    -------
+    list of set
+        The detections of each fruit.
+
+    Examples
+    --------
+    >>> same, apart = LinkKind.SAME, LinkKind.APART
+    >>> links = [LinkRecord(same, "a", "b", 0.9), LinkRecord(same, "b", "c", 0.5)]
+    >>> [sorted(group) for group in group_detections("abcd", links)]
+    [['a', 'b', 'c'], ['d']]
+    >>> parted = [*links, LinkRecord(apart, "a", "c", by_hand=True)]
+    >>> [sorted(group) for group in group_detections("abcd", parted)]
+    [['a', 'b'], ['c'], ['d']]
+    """
+    groups = {key: {key} for key in keys}
+    foes: dict[str, set[str]] = {}
+    same = []
+    for link in links:
+        if link.first not in groups or link.second not in groups:
+            continue
+        if link.kind is LinkKind.SAME:
+            same.append(link)
+        elif link.kind is LinkKind.APART:
+            foes.setdefault(link.first, set()).add(link.second)
+            foes.setdefault(link.second, set()).add(link.first)
+    for link in sorted(same, key=lambda link: (not link.by_hand, -(link.score or 0.0))):
+        a, b = groups[link.first], groups[link.second]
+        if a is b or any(not b.isdisjoint(foes[key]) for key in a if key in foes):
+            continue
+        small, large = sorted((a, b), key=len)
+        large |= small
+        for key in small:
+            groups[key] = large
+    return list({id(group): group for group in groups.values()}.values())
 
 
 def _grouped(views: list[FruitRow], links: list[LinkRecord]) -> list[FruitRow]:

@@ -22,8 +22,15 @@ from cucumbervision.capture.source import example_captures
 from cucumbervision_greenhouse import resources, round_view
 from cucumbervision_greenhouse.camera.page import walk
 from cucumbervision_greenhouse.rounds.walking import DEMONSTRATION, round_for_capture
-from cucumbervision_greenhouse.store.links import LinkKind, LinkRecord
-from cucumbervision_greenhouse.store.records import Round, StopRecord, Verdict, key_of, new_key
+from cucumbervision_greenhouse.store.records import (
+    LinkKind,
+    LinkRecord,
+    Round,
+    StopRecord,
+    Verdict,
+    key_of,
+    new_key,
+)
 from cucumbervision_greenhouse.store.repository import Store, open_store
 
 pytestmark = pytest.mark.usefixtures("fresh_caches")

@@ -8,7 +8,7 @@ import pytest
 from cucumbervision.crop.profiles import load_profile, profiles
 from cucumbervision.errors import NameRefusedError, ProfileError
 from cucumbervision_greenhouse.pages.crop import CropLimits, class_counts, save_own_profile
-from cucumbervision_greenhouse.rounds.from_store import read_round
+from cucumbervision_greenhouse.rounds.fruit_table import read_round
 from cucumbervision_greenhouse.store.records import key_of
 from cucumbervision_greenhouse.store.repository import open_store
 

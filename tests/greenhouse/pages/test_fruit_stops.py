@@ -5,11 +5,9 @@ from pathlib import Path
 import pytest
 from streamlit.testing.v1 import AppTest
 
-from cucumbervision_greenhouse.rounds.from_store import read_round
-from cucumbervision_greenhouse.rounds.fruit_table import fruit_table
+from cucumbervision_greenhouse.rounds.fruit_table import fruit_table, read_round
 from cucumbervision_greenhouse.settings import Units
-from cucumbervision_greenhouse.store.links import LinkKind, LinkRecord
-from cucumbervision_greenhouse.store.records import key_of
+from cucumbervision_greenhouse.store.records import LinkKind, LinkRecord, key_of
 from cucumbervision_greenhouse.store.repository import open_store
 from cucumbervision_greenhouse.words import length_words
 

@@ -14,8 +14,7 @@ from cucumbervision.capture.readers.native import write_native
 from cucumbervision.methods.result import MethodName
 from cucumbervision.run.options import MeasureOptions
 from cucumbervision_greenhouse.rounds.adding import Added, Place, add_captures
-from cucumbervision_greenhouse.rounds.from_store import read_round
-from cucumbervision_greenhouse.rounds.fruit_table import fruit_table
+from cucumbervision_greenhouse.rounds.fruit_table import fruit_table, read_round
 from cucumbervision_greenhouse.rounds.merge_and_link import merge_round
 from cucumbervision_greenhouse.rounds.poses import PoseLine
 from cucumbervision_greenhouse.store.records import key_of

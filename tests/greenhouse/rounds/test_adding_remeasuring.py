@@ -13,7 +13,7 @@ from cucumbervision.methods.result import LengthDefinition, MethodName
 from cucumbervision.run.measurer import CaptureResult, Measurer
 from cucumbervision.run.options import MeasureOptions
 from cucumbervision_greenhouse.rounds.adding import add_captures, measure_round_again
-from cucumbervision_greenhouse.rounds.from_store import find_round
+from cucumbervision_greenhouse.rounds.fruit_table import find_round
 from cucumbervision_greenhouse.store.check import check_store
 from cucumbervision_greenhouse.store.records import FruitRow, Verdict, key_of
 from cucumbervision_greenhouse.store.repository import Store

@@ -13,14 +13,14 @@ from cucumbervision_greenhouse.rounds.day_comparison import (
     fruit_days,
     same_fruit,
 )
-from cucumbervision_greenhouse.rounds.from_store import read_round
-from cucumbervision_greenhouse.rounds.fruit_table import fruit_table
+from cucumbervision_greenhouse.rounds.fruit_table import fruit_table, read_round
 from cucumbervision_greenhouse.rounds.merge_and_link import DAY_S, earlier_rounds
 from cucumbervision_greenhouse.rounds.walking import DEMONSTRATION
-from cucumbervision_greenhouse.store.links import LinkKind, LinkRecord
 from cucumbervision_greenhouse.store.records import (
     CaptureRecord,
     FruitRow,
+    LinkKind,
+    LinkRecord,
     Round,
     StopRecord,
     Verdict,

@@ -8,10 +8,10 @@ import pytest
 from cucumbervision.crop.profiles import load_profile
 from cucumbervision.methods.result import Length
 from cucumbervision_greenhouse.rounds.forecasting import fruit_states
-from cucumbervision_greenhouse.rounds.from_store import read_round
 from cucumbervision_greenhouse.rounds.fruit_table import (
     fruit_table,
     least_sure_first,
+    read_round,
     round_figures,
 )
 from cucumbervision_greenhouse.rounds.merge_and_link import DAY_S

@@ -19,14 +19,19 @@ from cucumbervision_greenhouse.rounds.forecasting import (
     fruit_states,
     shared_scale_sd,
 )
-from cucumbervision_greenhouse.rounds.from_store import RoundContent, find_round, read_round
-from cucumbervision_greenhouse.rounds.fruit_table import fruit_table
+from cucumbervision_greenhouse.rounds.fruit_table import (
+    RoundContent,
+    find_round,
+    fruit_table,
+    read_round,
+)
 from cucumbervision_greenhouse.rounds.merge_and_link import link_rounds, merge_round
-from cucumbervision_greenhouse.store.links import LinkKind, LinkRecord
 from cucumbervision_greenhouse.store.records import (
     ArtifactRecord,
     CaptureRecord,
     FruitRow,
+    LinkKind,
+    LinkRecord,
     Round,
     StopRecord,
     key_of,

@@ -10,7 +10,7 @@ from tests.simulated_rows import SimulatedRow, simulate_row
 from cucumbervision.capture.frames import Stop
 from cucumbervision.errors import RoundError
 from cucumbervision_greenhouse.rounds.forecasting import earlier_lengths
-from cucumbervision_greenhouse.rounds.from_store import read_round
+from cucumbervision_greenhouse.rounds.fruit_table import read_round
 from cucumbervision_greenhouse.rounds.merge_and_link import (
     delete_round,
     earlier_rounds,
@@ -20,8 +20,7 @@ from cucumbervision_greenhouse.rounds.merge_and_link import (
     settle,
     undo,
 )
-from cucumbervision_greenhouse.store.links import LinkKind
-from cucumbervision_greenhouse.store.records import CaptureRecord, StopRecord, key_of
+from cucumbervision_greenhouse.store.records import CaptureRecord, LinkKind, StopRecord, key_of
 from cucumbervision_greenhouse.store.waiting import WaitingCaptures
 
 if TYPE_CHECKING:

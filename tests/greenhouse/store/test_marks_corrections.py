@@ -6,9 +6,16 @@ import pytest
 
 from cucumbervision.errors import StoreError
 from cucumbervision.methods.result import Length
-from cucumbervision_greenhouse.store.links import LinkKind, LinkRecord
 from cucumbervision_greenhouse.store.marks import round_id_of, write_mark
-from cucumbervision_greenhouse.store.records import FruitRow, Round, Verdict, key_of, new_key
+from cucumbervision_greenhouse.store.records import (
+    FruitRow,
+    LinkKind,
+    LinkRecord,
+    Round,
+    Verdict,
+    key_of,
+    new_key,
+)
 from cucumbervision_greenhouse.store.repository import Store, open_store
 
 if TYPE_CHECKING:

@@ -7,8 +7,15 @@ import pytest
 
 from cucumbervision.errors import NameRefusedError, StoreConflictError, StoreError
 from cucumbervision_greenhouse.store.check import check_store
-from cucumbervision_greenhouse.store.links import LinkKind, LinkRecord
-from cucumbervision_greenhouse.store.records import FruitRow, Round, Saved, StopRecord, key_of
+from cucumbervision_greenhouse.store.records import (
+    FruitRow,
+    LinkKind,
+    LinkRecord,
+    Round,
+    Saved,
+    StopRecord,
+    key_of,
+)
 from cucumbervision_greenhouse.store.repository import Store
 
 if TYPE_CHECKING:

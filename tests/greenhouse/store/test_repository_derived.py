@@ -5,8 +5,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from cucumbervision_greenhouse.store.links import LinkKind, LinkRecord
-from cucumbervision_greenhouse.store.records import Round, key_of
+from cucumbervision_greenhouse.store.records import LinkKind, LinkRecord, Round, key_of
 from cucumbervision_greenhouse.store.repository import Store
 
 if TYPE_CHECKING:

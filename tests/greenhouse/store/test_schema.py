@@ -12,8 +12,7 @@ from sqlalchemy import insert, inspect, select, text
 from cucumbervision.errors import StoreError
 from cucumbervision.run.fields import STORED_FIELDS
 from cucumbervision_greenhouse.store.engine import begin
-from cucumbervision_greenhouse.store.links import LinkKind
-from cucumbervision_greenhouse.store.records import FruitRow, Verdict, key_of
+from cucumbervision_greenhouse.store.records import FruitRow, LinkKind, Verdict, key_of
 from cucumbervision_greenhouse.store.repository import Store, open_store
 from cucumbervision_greenhouse.store.schema import FRUIT, LINKS, METADATA, VERSION
 

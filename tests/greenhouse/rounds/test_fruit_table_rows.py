@@ -9,17 +9,18 @@ from tests.greenhouse.rounds.conftest import MORNING
 
 from cucumbervision.errors import RoundError, StoreError
 from cucumbervision.methods.result import Length, LengthDefinition, LengthKind
-from cucumbervision_greenhouse.rounds.from_store import (
+from cucumbervision_greenhouse.rounds.fruit_table import (
     StoredRow,
     counted_fruit,
     find_round,
     read_round,
     stored_merging,
 )
-from cucumbervision_greenhouse.store.links import LinkKind, LinkRecord
 from cucumbervision_greenhouse.store.records import (
     CaptureRecord,
     FruitRow,
+    LinkKind,
+    LinkRecord,
     Round,
     StopRecord,
     Verdict,

@@ -2,7 +2,8 @@ from __future__ import annotations
 
 from itertools import permutations
 
-from cucumbervision_greenhouse.store.links import LinkKind, LinkRecord, group_detections
+from cucumbervision_greenhouse.store.records import LinkKind, LinkRecord
+from cucumbervision_greenhouse.store.repository import group_detections
 
 
 def same(pair: str, score: float | None = None, *, by_hand: bool = False) -> LinkRecord:

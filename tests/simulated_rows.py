@@ -162,7 +162,7 @@ def walk(plants: Plants, settings: SimulatedRow, rng: np.random.Generator) -> Wa
     declared[:, ALONG] = np.tile(true_at, settings.sides)
     sd = np.full((len(side), 3), 1.5 * settings.camera_sd_m)
     sd[:, ALONG] = settings.operator_sd_m
-    stops = RowStops(declared, sd, side, np.tile(settings.reach, (len(side), 1)))
+    stops = RowStops(declared, sd, side, np.full(len(side), settings.reach[0]))
     error = rng.normal(0.0, [settings.operator_sd_m, *[settings.camera_sd_m] * 2], sd.shape)
     shown = np.zeros(len(plants.name), bool)
     tables, names = [], []
@@ -237,7 +237,6 @@ def _views(table: NDArray[np.float64], s: SimulatedRow) -> RowViews:
         table[:, 5],
         np.full(len(stop), max(s.diameter_sd, 1e-3)),
         partial,
-        table[:, 7],
         table[:, 7] * np.where(partial, 0.5, 1.0),
     )
 

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from cucumbervision_greenhouse.store.repository import Store
 
 _CAMERA_SD_M = 0.03  # standard deviation of a camera from its usual height and distance
-_USUAL_REACH = (0.687, 0.384)  # a D435's colour camera, for stops without a stored camera
+_USUAL_REACH = 0.687  # a D435's colour camera, for stops without a stored camera
 _LEAST_SD = 0.01  # of a length, relative
 _DIAMETER_SD = 0.05
 
@@ -164,12 +164,9 @@ def _load_rows(content: RoundContent) -> Iterator[StoredRow]:
         yield _row(name, stops[name], views[name])
 
 
-def _reach(camera: Mapping[str, Any]) -> tuple[float, float]:
-    size = [camera.get(name) for name in ("width", "fx", "height", "fy")]
-    if not all(isinstance(number, int | float) and number > 0 for number in size):
-        return _USUAL_REACH
-    width, fx, height, fy = (float(number) for number in size if number is not None)
-    return width / 2 / fx, height / 2 / fy
+def _reach(camera: Mapping[str, Any]) -> float:
+    width, fx = camera.get("width"), camera.get("fx")
+    return float(width) / 2 / float(fx) if width and fx else _USUAL_REACH
 
 
 def _row(name: str, stops: Sequence[StopRecord], fruit: Sequence[FruitRow]) -> StoredRow:
@@ -210,7 +207,7 @@ def _row_stops(
     at_m[:, UP] = [poses[stop.key][UP, 3] for stop in stops]
     sd_m[:, ALONG] = [stop.position_sd_m or MIDDLE_SD_M for stop in stops]
     side = np.array([sides.index(stop.side or "") for stop in stops], np.int64)
-    reach = np.array([_reach(stop.camera) for stop in stops]).reshape(-1, 2)
+    reach = np.array([_reach(stop.camera) for stop in stops], np.float64)
     return RowStops(at_m, sd_m, side, reach)
 
 
@@ -238,7 +235,6 @@ def _row_views(
         diameter_m=np.array([view.diameter_max_m or np.nan for view in views], np.float64),
         diameter_sd=np.full(len(views), _DIAMETER_SD),
         partial=np.array([view.partial for view in views], bool),
-        score=np.array([view.score for view in views], np.float64),
         view_score=np.array([view.view_score for view in views], np.float64),
     )
 
@@ -377,11 +373,11 @@ def round_doubts(views: Iterable[FruitRow]) -> list[str]:
     Rejected ones are left out.
     """
     summary = Summary()
-    summary.add(_row(view) for view in views if view.verdict is not Verdict.REJECTED)
+    summary.add(_table_row(view) for view in views if view.verdict is not Verdict.REJECTED)
     return summary.doubts()
 
 
-def _row(view: FruitRow) -> dict[str, Cell]:
+def _table_row(view: FruitRow) -> dict[str, Cell]:
     row = table_row(vars(view))
     is_measured = any(row[f"{method.lower()}_cm"] is not None for method in AVAILABLE)
     return {**row, "reason": row["reason"] if is_measured else "", "simulated": False}

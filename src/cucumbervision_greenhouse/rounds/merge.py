@@ -208,11 +208,11 @@ def merge_row(stops: RowStops, views: RowViews) -> Merged:
     Examples
     --------
     >>> at_m = np.array([[0.0, 0.0, 0.0], [0.4, 0.0, 0.0]])
-    >>> stops = RowStops(at_m, np.full((2, 3), 0.03), np.zeros(2, int), np.full((2, 2), 0.6))
+    >>> stops = RowStops(at_m, np.full((2, 3), 0.03), np.zeros(2, int), np.full(2, 0.6))
     >>> two, one = np.arange(2), np.ones(2)
     >>> offset_m = np.array([[0.2, 0.1, 0.7], [-0.2, 0.1, 0.7]])  # one fruit, seen from both
     >>> views = RowViews(two, two, offset_m, np.full((2, 3), 0.006), 0.2 * one, 0.015 * one,
-    ...     0.04 * one, 0.03 * one, one < 0, 0.9 * one, 0.9 * one)
+    ...     0.04 * one, 0.03 * one, one < 0, 0.9 * one)
     >>> merge_row(stops, views).cluster.tolist()
     [0, 0]
     """
@@ -256,7 +256,7 @@ def _views_per_m(stops: RowStops, views: RowViews) -> float:
     """Return how many views a capture has per metre of row that it shows."""
     captures, first_view = np.unique(views.capture, return_index=True)
     typical_depth_m = float(np.median(np.abs(views.offset_m[:, DEPTH])))
-    width_m = 2 * stops.reach[views.stop[first_view], 0] * typical_depth_m
+    width_m = 2 * stops.reach[views.stop[first_view]] * typical_depth_m
     return len(views) / max(float(width_m.sum()), 1e-6 * len(captures))
 
 

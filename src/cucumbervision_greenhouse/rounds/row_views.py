@@ -36,8 +36,8 @@ class RowStops:
         Standard deviations of these, metres.
     side : ndarray of int64, shape (S,)
         0, or 1 for stops made from the other aisle.
-    reach : ndarray of float64, shape (S, 2)
-        Tangents of half the field of view, along and up.
+    reach : ndarray of float64, shape (S,)
+        Tangent of half the field of view along the row.
     covariance_m2 : ndarray of float64, shape (3, S, S), optional
         Of each coordinate, where the stops were estimated together.
     """
@@ -78,8 +78,6 @@ class RowViews:
         Largest diameter likewise.
     partial : ndarray of bool, shape (N,)
         Whether part of the fruit is hidden or cut off: its length is a lower bound.
-    score : ndarray of float64, shape (N,)
-        The detector's confidence, 0 to 1.
     view_score : ndarray of float64, shape (N,)
         How well the view shows the fruit, 0 to 1.
     """
@@ -93,7 +91,6 @@ class RowViews:
     diameter_m: Floats
     diameter_sd: Floats
     partial: Bools
-    score: Floats
     view_score: Floats
 
     def __len__(self) -> int:
@@ -337,11 +334,11 @@ def fit_stops(stops: RowStops, views: RowViews, i: Ints, j: Ints, weight: Floats
     Two stops, given as 0.40 m apart with 3 cm of uncertainty each; two fruit in both measure 0.46:
 
     >>> stops = RowStops(np.array([[0.0, 0, 0], [0.4, 0, 0]]), np.full((2, 3), 0.03),
-    ...     np.zeros(2, int), np.ones((2, 2)))
+    ...     np.zeros(2, int), np.ones(2))
     >>> middle = np.array([[0.3, 0, 0.7], [0.4, 0, 0.7], [-0.16, 0, 0.7], [-0.06, 0, 0.7]])
     >>> none, few = np.full(4, np.nan), np.full(4, 0.02)
     >>> views = RowViews(np.array([0, 0, 1, 1]), np.array([0, 0, 1, 1]), middle,
-    ...     np.full((4, 3), 0.003), none, few, none, few, np.zeros(4, bool), np.ones(4), np.ones(4))
+    ...     np.full((4, 3), 0.003), none, few, none, few, np.zeros(4, bool), np.ones(4))
     >>> fitted = fit_stops(stops, views, np.array([0, 1]), np.array([2, 3]), np.ones(2))
     >>> (100 * fitted.at_m[:, 0]).round(1).tolist()
     [-3.0, 43.0]

@@ -14,7 +14,7 @@ from copy import copy
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sqlalchemy import Column, Connection, Engine, create_engine, event, inspect, text
+from sqlalchemy import Column, Connection, Engine, create_engine, event, func, inspect, select, text
 from sqlalchemy.engine import URL, make_url
 from sqlalchemy.exc import (
     ArgumentError,
@@ -46,11 +46,11 @@ DEVICE = "cucumbervision_device"
 """Name of the connection option with the device that the person writes from."""
 
 _WRITES = "cucumbervision_writes"
+_POSTGRES_LOCK = 0x63766D31  # arbitrary; the advisory lock of who writes
 _NULL = re.compile(r"(?<!\\)((?:\\\\)*)\\u0000")
 _MAKE_ROOM = "make room on the disk"
 _COMES_BACK = "the server starts again after a fault; try again in a minute"
 _HINTS = (
-    ("deadlock detected", "another viewer changed the same just then; try again"),
     ("is locked", "another program is writing to it for a long time; try again"),
     ("not a database", "name another file; this one is left as it is"),
     ("malformed", "copy the file away and run 'sqlite3 FILE .recover'"),
@@ -216,7 +216,8 @@ def _begin_sqlite(connection: Connection) -> None:
 def begin(engine: Engine, *, write: bool = False) -> Iterator[Connection]:
     """Open one transaction: committed at the end, rolled back by any error.
 
-    A read-only transaction sees the database as it was at its start.
+    A read-only transaction sees the database as it was at its start; one transaction writes at a
+    time.
 
     Raises
     ------
@@ -229,6 +230,8 @@ def begin(engine: Engine, *, write: bool = False) -> Iterator[Connection]:
             options["isolation_level"] = "REPEATABLE READ"
         connection = connection.execution_options(**options)
         with connection.begin():
+            if write and connection.dialect.name == "postgresql":
+                connection.execute(select(func.pg_advisory_xact_lock(_POSTGRES_LOCK)))
             yield connection
 
 
@@ -328,8 +331,6 @@ class Database:
 
 VERSION_TABLE = "cucumbervision_version"
 
-_POSTGRES_LOCK = 0x63766D31  # arbitrary; the advisory lock of those who make the tables
-
 
 def prepare(engine: Engine) -> None:
     """Make the tables of a new store, or bring those of an earlier version here.
@@ -348,8 +349,6 @@ def prepare(engine: Engine) -> None:
         if stored_version(connection) == VERSION and not _missing_columns(connection):
             return
     with begin(engine, write=True) as connection:
-        if connection.dialect.name == "postgresql":
-            connection.execute(text("SELECT pg_advisory_xact_lock(:n)"), {"n": _POSTGRES_LOCK})
         version = stored_version(connection)
         if version is None:
             _check_free(connection, named(engine.url))

@@ -19,7 +19,7 @@ from cucumbervision_greenhouse.store.records import LinkKind, LinkRecord, Verdic
 from cucumbervision_greenhouse.store.schema import CAPTURES, FRUIT, LINKS, MARKS, ROUNDS, STOPS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
 
     from sqlalchemy import Connection, Table
 
@@ -147,8 +147,6 @@ class Marks(Database):
         house = checked_name(house, "house")
         before = None if seen is None else {"house": seen}
         with self.writing() as connection:
-            # In one order: two that move the same rounds would wait for each other.
-            lock_rounds(connection, [round_id_of(connection, key) for key in keys])
             lines = [line_of(connection, ROUNDS, key) for key in keys]
             houses = select(ROUNDS.c.house).where(~ROUNDS.c.deleted, ROUNDS.c.key.not_in(keys))
             house = same_house(house, connection.execute(houses.order_by(ROUNDS.c.id)).scalars())
@@ -183,7 +181,6 @@ class Marks(Database):
             if mark is None:
                 what = "nothing to undo" if number is None else "there is no mark {number} to undo"
                 raise StoreError(what, remedy="see the log", number=number)
-            lock_rounds(connection, [mark.round_id])
             details = {"kind": mark.kind}
             made = write_mark(
                 connection, "undo", mark.round_id, mark.fruit, details, undoes_id=mark.id
@@ -222,7 +219,7 @@ def check_place(stop: StopRecord) -> None:
 
 
 def find_fruit(connection: Connection, keys: Sequence[str]) -> list[Any]:
-    """Find fruit by their keys, in that order (key, id, round_id); lock their rounds.
+    """Find fruit by their keys, in that order (key, id, round_id).
 
     Raises
     ------
@@ -242,17 +239,7 @@ def find_fruit(connection: Connection, keys: Sequence[str]) -> list[Any]:
         raise StoreError(
             "fruit {key} is not in the store", remedy="look it up in detections()", key=missing
         )
-    lock_rounds(connection, {line.round_id for line in fruit.values()})
     return [fruit[key] for key in keys]
-
-
-def lock_rounds(connection: Connection, round_ids: Iterable[int]) -> None:
-    """Lock rounds against other marks and links until the transaction ends.
-
-    Stops can still be saved. In SQLite a writing transaction is alone anyway.
-    """
-    query = select(ROUNDS.c.id).where(ROUNDS.c.id.in_(sorted(set(round_ids))))
-    connection.execute(query.order_by(ROUNDS.c.id).with_for_update(key_share=True))
 
 
 def round_id_of(connection: Connection, key: str, *, remedy: str = "see `round list`") -> int:
@@ -377,7 +364,7 @@ def _forget_growth(connection: Connection, round_ids: Sequence[int]) -> None:
 
 
 def line_of(connection: Connection, table: Table, key: str) -> Any:
-    """Return all cells of a stop or round that was not deleted, and keep others from changing it.
+    """Return all cells of a stop or round that was not deleted.
 
     Raises
     ------
@@ -385,8 +372,7 @@ def line_of(connection: Connection, table: Table, key: str) -> Any:
         If it is not there.
     """
     what = "stop" if table is STOPS else "round"
-    query = select(table).where(table.c.key == key)
-    line = connection.execute(query.with_for_update(key_share=True)).one_or_none()
+    line = connection.execute(select(table).where(table.c.key == key)).one_or_none()
     if line is None or line.deleted:
         raise StoreError(
             f"{what} {{key}} is not in the store", remedy=f"see the list of {what}s", key=key

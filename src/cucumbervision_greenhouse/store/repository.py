@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sqlalchemy import and_, func, insert, select, update
-from sqlalchemy.dialects import postgresql, sqlite
 
 from cucumbervision.errors import StoreError, wrap_reader_errors
 from cucumbervision.names import checked_name, same_house
@@ -24,7 +23,6 @@ from cucumbervision_greenhouse.store.marks import (
     find_fruit,
     forget_links,
     links_of,
-    lock_rounds,
     marks_of,
     round_id_of,
     write_mark,
@@ -229,7 +227,6 @@ class Store(Marks):
                 raise StoreError(
                     f"stop {stop_key} has no capture '{capture}'", remedy="look it up in stop()"
                 )
-            lock_rounds(connection, [line.round_id])
             highest = select(func.max(FRUIT.c.fruit)).where(FRUIT.c.capture_id == line.id)
             number = (connection.execute(highest).scalar() or 0) + 1
             key = key_of("fruit", stop_key, line.number, number)
@@ -250,7 +247,6 @@ class Store(Marks):
         """Replace a round's links of `LinkKind.SAME`, and its stops' fitted positions with SD."""
         with self.writing() as connection:
             round_id = round_id_of(connection, round_key)
-            lock_rounds(connection, [round_id])
             forget_links(connection, LinkKind.SAME, (round_id, round_id))
             stops = update(STOPS).where(STOPS.c.round_id == round_id)
             connection.execute(stops.values(fitted_m=None, fitted_sd_m=None))
@@ -263,7 +259,6 @@ class Store(Marks):
         """Replace the links of `LinkKind.GROWTH` between two rounds."""
         with self.writing() as connection:
             rounds = round_id_of(connection, earlier), round_id_of(connection, later)
-            lock_rounds(connection, rounds)
             forget_links(connection, LinkKind.GROWTH, rounds)
             _add_links(connection, LinkKind.GROWTH, links, rounds)
 
@@ -412,14 +407,11 @@ class Store(Marks):
 
 
 def _insert_new(connection: Connection, table: Table, cells: dict[str, Any]) -> int | None:
-    """Insert one line and return its id; None where one with its key is there already.
-
-    Where another transaction is just inserting the same key, PostgreSQL waits for its end.
-    """
-    dialect: Any = sqlite if connection.dialect.name == "sqlite" else postgresql
-    line = dialect.insert(table).values(**cells).on_conflict_do_nothing(index_elements=["key"])
-    line_id: int | None = connection.execute(line.returning(table.c.id)).scalar()
-    return line_id
+    """Insert one line and return its id; None where one with its key is there already."""
+    if connection.execute(select(table.c.id).where(table.c.key == cells["key"])).scalar():
+        return None
+    line = insert(table).values(**cells).returning(table.c.id)
+    return int(connection.execute(line).scalar_one())
 
 
 def _add_fruit(

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import struct
 import time
 from collections.abc import Iterator
 from types import SimpleNamespace
@@ -330,3 +331,26 @@ def test_a_fruit_is_outlined_anew_and_its_picture_read_once(
     other = store.detections(WALK)[1].key
     refused = asked.post("/api/fruit", json={**sent, "fruit": other})
     assert "there already" in refused.json()["error"]
+
+
+def test_a_picture_is_sent_once_and_the_next_after_a_press(asked: TestClient) -> None:
+    def ask(shown: int | str = "") -> Any:
+        return asked.get("/api/preview", params={"source": "replay", "shown": shown})
+
+    header, *_ = read(ask().content)
+    assert (header["state"], header["simulated"]) == ("replay", True)
+    assert header["quality"]["seen"] == "100 %"
+    assert ask(header["number"]).status_code == 204
+    press(asked, sent("a", time.time()))
+    after, color, depth = read(ask(header["number"]).content)
+    assert after["name"] != header["name"]
+    assert color[:2] == depth[:2] == b"\xff\xd8"
+    wait_for_jobs()
+
+
+def read(message: bytes) -> tuple[dict[str, Any], bytes, bytes]:
+    """A message of the preview: header, colour, depth."""
+    (length,) = struct.unpack("<I", message[:4])
+    header = json.loads(message[4 : 4 + length])
+    at = 4 + length + header.get("color_bytes", 0)
+    return header, message[4 + length : at], message[at:]

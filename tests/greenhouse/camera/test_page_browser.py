@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
+import time
 from collections.abc import Callable, Iterator
 from datetime import datetime
 from pathlib import Path
@@ -12,6 +13,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.greenhouse.conftest import PATIENCE_S
+
+from cucumbervision.capture.source import example_captures
+from cucumbervision_greenhouse.store.records import Round, key_of
+from cucumbervision_greenhouse.store.repository import open_store
+from cucumbervision_greenhouse.store.waiting import WaitingCaptures, waiting_folder
 
 pytest.importorskip("streamlit")
 pytest.importorskip("pyrealsense2", exc_type=ImportError)
@@ -19,9 +26,6 @@ pytest.importorskip("pyrealsense2", exc_type=ImportError)
 
 from cucumbervision_greenhouse.rounds.adding import stored_capture
 from cucumbervision_greenhouse.settings import Settings, settings_file, write_settings
-from cucumbervision_greenhouse.store.records import Round, key_of
-from cucumbervision_greenhouse.store.repository import open_store
-from cucumbervision_greenhouse.store.waiting import WaitingCaptures, waiting_folder
 
 WALK = Round(key_of("presses"), "presses", "", 1_700_000_000.0, "long-cucumber")
 
@@ -218,16 +222,6 @@ def test_positions_are_in_the_unit_that_was_chosen(
     walk.kill()
 
 
-def test_an_answer_that_is_cut_off_replaces_nothing_that_was_known(
-    walk: Walk, new_page: Callable[..., Any]
-) -> None:
-    page = opened(new_page(), walk)
-    page.route("**/api/walk?*", lambda route: route.fulfill(status=200, body='{"round": "'))
-    for _ in range(2):
-        page.reload()
-        page.locator("button.take:enabled").wait_for()
-
-
 def test_two_tablets_press_into_one_round(walk: Walk, new_page: Callable[..., Any]) -> None:
     first, second = (opened(new_page(has_touch=True), walk) for _ in range(2))
     for _ in range(3):
@@ -287,3 +281,38 @@ def test_a_line_that_is_half_open_is_said(walk: Walk, new_page: Callable[..., An
         os.kill(walk.server.pid, signal.SIGCONT)
     page.locator("#lost").wait_for(state="hidden")
     wait_for_stops(page, walk, 1)
+
+
+def kept(path: Path) -> set[str]:
+    """Return the keys of all presses that are stops or wait to be measured."""
+    waiting = WaitingCaptures(waiting_folder(str(path)))
+    with open_store(path) as store:
+        stops = {stop.key for one in store.rounds() for stop in store.stops(one.key)}
+    return stops | {one.key for one in (*waiting.captures(), *waiting.set_aside())}
+
+
+def test_presses_of_a_page_that_was_closed_offline_are_sent_by_another(
+    tmp_path: Path, start_server: Callable[..., Any], browser: Any
+) -> None:
+    path = tmp_path / "house.db"
+    with open_store(path) as store:
+        store.save_round(WALK)
+    address = start_server(tmp_path, "--store", str(path), "--replay", str(example_captures()))
+    context = browser.new_context()
+    first, second = context.new_page(), context.new_page()
+    for page in (first, second):
+        page.set_default_timeout(1000 * PATIENCE_S)
+        page.goto(f"{address}/capture?round={WALK.key}")
+        page.locator("button.take:enabled").wait_for()
+    context.set_offline(True)
+    for page in (first, second):
+        page.locator("button.take").click()
+        page.get_by_text("waiting on this device").wait_for()
+    second.close()
+    context.set_offline(False)
+    until = time.monotonic() + PATIENCE_S
+    while len(kept(path)) < 2 and time.monotonic() < until:
+        first.wait_for_timeout(500)
+    first.wait_for_timeout(3000)  # one too many would come now
+    assert len(kept(path)) == 2
+    context.close()

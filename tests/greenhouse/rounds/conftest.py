@@ -53,7 +53,6 @@ def _stop(walk: Walk, number: int, record: Round, row: str) -> StopRecord:
         length, sd = float(views.length_m[k]), float(views.length_sd[k])
         one = FruitRow(
             len(fruit) + 1,
-            score=float(views.score[k]),
             flags="end-hidden" if views.partial[k] else "",
             length=Length(
                 length, CENTRELINE, length * (1 - 1.645 * sd), length * (1 + 1.645 * sd), CENTRELINE

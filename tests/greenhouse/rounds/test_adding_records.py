@@ -14,8 +14,7 @@ from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import CaptureError
 from cucumbervision.fruit.instance import Instance
 from cucumbervision.fruit.mask_codes import decode_rle
-from cucumbervision.methods.flags import Flag
-from cucumbervision.methods.result import Fruit, MethodName
+from cucumbervision.methods.result import MethodName
 from cucumbervision.methods.selector import measure_fruit
 from cucumbervision.run.measurer import CaptureResult, Failure, Measurer
 from cucumbervision.run.options import MeasureOptions
@@ -156,27 +155,6 @@ def test_a_fruit_that_nothing_measured_is_kept_too(measured: CaptureResult) -> N
     assert (record.length_m, record.method, record.view_score) == (None, None, 0.0)
     assert (record.reason, record.mask, record.centre_x_m) == ("no-depth", None, None)
     assert (record.path_m, record.diameter_m) == ((), ())
-
-
-def test_a_view_that_shows_less_scores_less(measured: CaptureResult) -> None:
-    fruit = measured.fruit[0]
-
-    def score(fruit: Fruit) -> float:
-        return float(fruit_record(measured.capture, 1, fruit, pose_matrix(0.0)).view_score)
-
-    def seen(hidden: float, *flags: Flag) -> float:
-        assert fruit.fit is not None
-        assert fruit.selected is not None
-        selected = replace(fruit.selected, fit=replace(fruit.fit, hidden_share=hidden))
-        return score(replace(fruit, selected=selected, fill=0.9, flags=flags))
-
-    best = seen(0.0)
-    assert best == pytest.approx(0.9 * fruit.instance.confidence)
-    assert seen(0.25) == pytest.approx(0.75 * best)
-    assert seen(0.0, Flag.CUT_BY_FRAME) == pytest.approx(best / 2)
-    assert seen(0.0, Flag.CUT_BY_FRAME, Flag.END_HIDDEN) == pytest.approx(best / 4)
-    plain = replace(fruit, selected=fruit.measurements[MethodName.M3], fill=0.9, flags=())
-    assert score(plain) == pytest.approx(best / 2)
 
 
 def test_provenance_of_numpy_numbers_and_paths_is_stored(measured: CaptureResult) -> None:

@@ -112,7 +112,7 @@ def test_a_row_has_its_stops_and_views_as_arrays(store: Store) -> None:
     row = rows(store, stop(1, fruit(1), fruit(2, 0.3)), stop(2, fruit(1)))["3"]
     np.testing.assert_allclose(row.stops.at_m, [[0.5, 0, 0], [1.0, 0, 0]])
     np.testing.assert_allclose(row.stops.sd_m, [[0.02, 0.03, 0.03]] * 2)
-    np.testing.assert_allclose(row.stops.reach, [[0.8, 0.6]] * 2)
+    np.testing.assert_allclose(row.stops.reach, [0.8] * 2)
     assert row.views.stop.tolist() == [0, 0, 1]
     np.testing.assert_allclose(
         row.views.offset_m, [[0.1, -0.05, 0.6], [0.2, -0.05, 0.6], [0.1, -0.05, 0.6]]
@@ -158,8 +158,8 @@ def test_lengths_without_interval_or_of_another_kind_count_for_little(store: Sto
 def test_a_camera_that_is_not_stored_is_a_d435(store: Store) -> None:
     bare = stop(1, captures=(CaptureRecord("a"),))
     flat = stop(2, captures=(CaptureRecord("a", camera={**CAMERA, "fx": 0.0}),))
-    # A D435's colour camera sees 69 by 42 degrees.
-    half = np.tan(np.deg2rad([69.0, 42.0]) / 2)
+    # A D435's colour camera sees 69 degrees.
+    half = np.tan(np.deg2rad(69.0) / 2)
     np.testing.assert_allclose(rows(store, bare, flat)["3"].stops.reach, [half] * 2, atol=2e-3)
 
 

@@ -16,7 +16,7 @@ from cucumbervision_greenhouse.store.records import (
     key_of,
     new_key,
 )
-from cucumbervision_greenhouse.store.repository import Store, open_store
+from cucumbervision_greenhouse.store.repository import Store
 
 if TYPE_CHECKING:
     from tests.greenhouse.store.conftest import MakeStop
@@ -191,18 +191,6 @@ def test_more_fruit_than_a_command_takes_are_picked_at_once(
     store.save_stop(make_stop(1, 8))
     store.pick([detection.key for detection in store.detections(WALK)])
     assert all(detection.picked_s for detection in store.detections(WALK))
-
-
-def test_two_pages_that_mark_one_fruit_both_are_heard(
-    store: Store, keys: list[str], tmp_path: Any
-) -> None:
-    address = store.engine.url.render_as_string(hide_password=False)
-    with open_store(address) as second_store:
-        for n in range(5):
-            store.signed(f"a{n}").set_verdict(keys[:1], Verdict.ACCEPTED)
-            second_store.signed(f"b{n}").set_verdict(keys[:1], Verdict.REJECTED)
-    assert store.detections(WALK)[0].verdict is Verdict.REJECTED
-    assert len(store.log()) == 10
 
 
 def test_a_fruit_added_by_hand_is_a_fruit_like_others_until_it_is_taken_back(

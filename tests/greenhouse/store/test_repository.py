@@ -89,12 +89,6 @@ def test_the_same_stop_sent_again_changes_nothing_and_says_so(
     assert lines(store) == before
 
 
-def test_a_stop_sent_again_under_its_key_changes_nothing(store: Store, make_stop: MakeStop) -> None:
-    store.save_stop(make_stop(1))
-    assert store.save_stop(replace(make_stop(1), position_m=0.41)) is Saved.ALREADY_THERE
-    assert store.stop(make_stop(1).key) == make_stop(1)
-
-
 def test_a_stop_that_fails_half_way_leaves_nothing(store: Store, make_stop: MakeStop) -> None:
     before = lines(store)
     fruit = (FruitRow(1), FruitRow(2, path_m=((float("inf"), 0.0, 0.0),)))

@@ -5,13 +5,21 @@ from math import hypot
 from typing import TYPE_CHECKING
 
 import pytest
-from sqlalchemy import func, select, text
+from sqlalchemy import text
 
 from cucumbervision.errors import StoreError
 from cucumbervision_greenhouse.store.engine import begin
-from cucumbervision_greenhouse.store.records import Round, Verdict, key_of, new_key
+from cucumbervision_greenhouse.store.records import (
+    LinkKind,
+    LinkRecord,
+    Round,
+    Saved,
+    StopRecord,
+    Verdict,
+    key_of,
+    new_key,
+)
 from cucumbervision_greenhouse.store.repository import Store, open_store
-from cucumbervision_greenhouse.store.schema import METADATA
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -73,14 +81,6 @@ def test_an_open_reader_neither_waits_for_a_writer_nor_sees_half(
         connection.execute(text("UPDATE stops SET note = 'changed'"))
         assert [stop.note for stop in store.stops(WALK)] == [""]
     assert [stop.note for stop in store.stops(WALK)] == ["changed"]
-
-
-def test_a_reader_sees_one_moment(store: Store, make_stop: MakeStop) -> None:
-    count = select(func.count()).select_from(METADATA.tables["stops"])
-    with begin(store.engine) as connection:
-        before = connection.execute(count).scalar_one()
-        store.save_stop(make_stop(1))
-        assert connection.execute(count).scalar_one() == before == 0
 
 
 def test_the_times_of_picking_are_by_fruit(store: Store, make_stop: MakeStop) -> None:
@@ -148,3 +148,62 @@ def test_a_round_that_cannot_be_read_is_not_taken_for_a_missing_one(tmp_path: Pa
         database.close()
         with pytest.raises(StoreError, match="no such table"):
             store.round(new_key())
+
+
+def test_a_stop_comes_back_as_it_was_sent(store: Store, make_stop: MakeStop) -> None:
+    stop = make_stop(3, pose=tuple(float(x) for x in range(16)), note="=1+1 'quoted' ž\n")
+    assert store.save_stop(stop) is Saved.NEW
+    assert store.stop(stop.key) == stop
+
+
+def test_a_stop_with_nothing_in_it_comes_back_too(store: Store) -> None:
+    stop = StopRecord(new_key(), WALK)
+    store.save_stop(stop)
+    assert store.stop(stop.key) == stop
+    [view] = store.stops(WALK)
+    assert (view.row, view.captures, view.fruit, view.thumbnail) == (None, (), 0, None)
+
+
+WALK, NEXT_DAY = key_of("walk"), key_of("next day")
+
+
+@pytest.fixture
+def views(store: Store, make_stop: MakeStop) -> list[str]:
+    """Two fruit at each of two stops, and the next day again."""
+    for walk in (Round(WALK, started_s=1000.0), Round(NEXT_DAY, started_s=87400.0)):
+        for step in (1, 2):
+            store.save_stop(make_stop(step, round=walk))
+    return [detection.key for walk in (WALK, NEXT_DAY) for detection in store.detections(walk)]
+
+
+def same(first: str, second: str, score: float | None = None) -> LinkRecord:
+    return LinkRecord(LinkKind.SAME, first, second, score)
+
+
+def test_each_run_replaces_what_the_last_one_said(store: Store, views: list[str]) -> None:
+    stop = key_of(WALK, 2)
+    store.save_merging(WALK, [same(views[0], views[2], 0.7)], {stop: (0.77, 0.01)})
+    assert store.links(WALK) == [same(views[0], views[2], 0.7)]
+    view = store.stops(WALK)[1]
+    assert (view.position_m, view.fitted_m, view.fitted_sd_m) == (0.8, 0.77, 0.01)
+    fruit = store.detections(WALK)[2]
+    assert fruit.along_m == pytest.approx(0.77 + 0.1)
+    assert fruit.along_sd_m == pytest.approx(hypot(0.01, 0.03))
+    store.save_merging(WALK, [same(views[1], views[2])])
+    assert store.links(WALK) == [same(views[1], views[2])]
+    assert store.stops(WALK)[1].fitted_m is None
+    # What was sent is as it was.
+    assert store.stop(stop).position_m == 0.8
+
+
+def test_growth_between_two_rounds(store: Store, views: list[str]) -> None:
+    growth = [LinkRecord(LinkKind.GROWTH, views[k], views[k + 4], 0.9) for k in (0, 1)]
+    store.save_merging(WALK, [same(views[0], views[2])])
+    store.save_growth(WALK, NEXT_DAY, growth)
+    assert store.links(NEXT_DAY) == growth
+    assert store.links(WALK, LinkKind.SAME) == [same(views[0], views[2])]
+    store.save_growth(WALK, NEXT_DAY, growth[:1])
+    assert store.links(NEXT_DAY) == growth[:1]
+    # A new merging leaves growth alone.
+    store.save_merging(WALK, [])
+    assert store.links(WALK) == growth[:1]

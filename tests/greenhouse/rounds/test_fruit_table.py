@@ -102,6 +102,7 @@ def walked(store: Store, *fruit: FruitRow) -> list[str]:
     """Save a stop with these fruit, and return what is doubtful in its round."""
     numbered = tuple(one.with_(fruit=number) for number, one in enumerate(fruit, 1))
     capture = CaptureRecord("a", width_px=64, height_px=48, fruit=numbered)
+    store.save_round(Round(MORNING))
     store.save_stop(StopRecord(key_of("stop"), MORNING, captures=(capture,)))
     return round_doubts(store.detections(MORNING))
 

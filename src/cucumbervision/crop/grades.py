@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -149,29 +149,6 @@ class GradeStatus(StrEnum):
     MISSING = "missing"
 
 
-class _Gradable(Protocol):
-    """The traits that grading needs: `GradingTraits`, or a stored measurement."""
-
-    @property
-    def thread_m(self) -> float | None: ...
-    @property
-    def centreline_m(self) -> float | None: ...
-    @property
-    def chord_m(self) -> float | None: ...
-    @property
-    def length(self) -> Length | None: ...
-    @property
-    def inner_arc_mm_per_10cm(self) -> float | None: ...
-    @property
-    def diameter_max_m(self) -> float | None: ...
-    @property
-    def volume_m3(self) -> float | None: ...
-    @property
-    def flags(self) -> str: ...
-    @property
-    def at_least(self) -> bool: ...
-
-
 @dataclass(frozen=True)
 class GradingTraits:
     """The traits of a fruit that grading uses; None if unknown.
@@ -218,40 +195,29 @@ class GradingTraits:
         (0.235, None)
         """
         kinds: dict[str, Any] = {str(kind): kind for kind in (*LengthKind, *LengthDefinition)}
-        value, low_m, high_m = (
+        kind, interval_of = (kinds.get(str(row.get(x))) for x in ("length_kind", "interval_of"))
+        value_m, *ends_m = (
             _number(row, f"{name}_cm", 100) for name in ("length", "interval_low", "interval_high")
         )
-        kind: Any
-        kind, interval_kind = (
-            kinds.get(str(row.get(name))) for name in ("length_kind", "interval_of")
-        )
-        thread, centreline, chord = (
-            _number(row, f"{name}_cm", 100) for name in ("thread", "centreline", "chord")
-        )
-        is_measured = value is not None and kind is not None
+        length = None if value_m is None or kind is None else Length(value_m, kind, *ends_m)
         return cls(
-            thread,
-            centreline,
-            chord,
-            Length(value or 0.0, kind, low_m, high_m, interval_kind) if is_measured else None,
-            _number(row, "inner_arc_mm_per_10cm"),
-            _number(row, "diameter_max_mm", 1000),
-            _number(row, "volume_ml", 1e6),
-            str(row.get("flags") or ""),
+            *(_number(row, f"{name}_cm", 100) for name in ("thread", "centreline", "chord")),
+            length=length and replace(length, interval_of=interval_of),
+            inner_arc_mm_per_10cm=_number(row, "inner_arc_mm_per_10cm"),
+            diameter_max_m=_number(row, "diameter_max_mm", 1000),
+            volume_m3=_number(row, "volume_ml", 1e6),
+            flags=str(row.get("flags") or ""),
         )
 
 
-def _length(fruit: _Gradable, kind: LengthDefinition) -> Length | None:
+def _length(fruit: Any, kind: LengthDefinition) -> Length | None:
     """Return a fruit's length of one kind, with its interval if that is of the same kind."""
-    measured = fruit.length
-    value_m: float | None = getattr(fruit, f"{kind}_m")
-    if measured is not None and measured.kind == kind:
-        value_m = measured.value_m
-    if not value_m:
-        return None
+    measured: Length | None = fruit.length
+    is_of_kind = measured is not None and measured.kind == kind
+    value_m = measured.value_m if measured and is_of_kind else getattr(fruit, f"{kind}_m")
     if measured is None or measured.interval_of != kind:
-        return Length(value_m, kind)
-    return replace(measured, value_m=value_m, kind=kind)
+        return Length(value_m, kind) if value_m else None
+    return replace(measured, value_m=value_m, kind=kind) if value_m else None
 
 
 @dataclass(frozen=True)
@@ -321,7 +287,7 @@ class Grade:
 
 @dataclass(frozen=True)
 class _Check:
-    """Result of one rule other than length, with the classes that it forbids."""
+    """Result of the rules on shape, weight or width, with the classes that they forbid."""
 
     name: str = ""
     forbidden: frozenset[str] = frozenset()
@@ -329,18 +295,14 @@ class _Check:
     missing: str = ""
     reason: str = ""
 
-    def as_remark(self) -> _Check:
-        text = Message("remark: {rule}", rule=self.rule) if self.rule else ""
-        return replace(self, forbidden=frozenset(), rule=text, reason="")
 
-
-def grade(fruit: _Gradable, profile: CropProfile) -> Grade:
+def grade(fruit: Any, profile: CropProfile) -> Grade:
     """Grade a fruit by its length, and lower the class by the rules for shape, weight and width.
 
     Parameters
     ----------
-    fruit : GradingTraits or DetectionRecord
-        The fruit's traits, or its measurement.
+    fruit : GradingTraits
+        The fruit's traits, or any object with the same attributes, such as a stored row.
     profile : CropProfile
         The crop.
 
@@ -363,32 +325,36 @@ def grade(fruit: _Gradable, profile: CropProfile) -> Grade:
     'undecided (only part of it is seen)'
     """
     length = _length(fruit, profile.length)
-    volume_m3 = fruit.volume_m3 if _has_known_size(fruit) else None
-    mass_g = None if volume_m3 is None else profile.mass_g(volume_m3)
-    if length is None:
-        return _without_length(fruit, profile, mass_g)
-    length_cm = round(100 * length.value_m, 6)
-    if not profile.acceptance.min_cm <= length_cm <= profile.acceptance.max_cm:
-        return _refused(length_cm, profile, mass_g)
-    checks = shape, weight, width = _checks(fruit, mass_g, profile)
+    # A hidden part adds to mass and diameter, too.
+    is_sized = not (fruit.at_least or is_length_unknown(fruit.flags.split()))
+    mass_g = profile.mass_g(fruit.volume_m3) if is_sized and fruit.volume_m3 is not None else None
+    length_cm = round(100 * length.value_m, 6) if length else 0.0
+    is_possible = profile.acceptance.min_cm <= length_cm <= profile.acceptance.max_cm
+    if length is None or not is_possible:
+        fields = _refused(length_cm, profile) if length else _without_length(fruit, profile)
+        fields = {"name": UNDECIDED, "rules": (), "possible": profile.outcomes, **fields}
+        return Grade(probabilities={}, mass_g=mass_g, **fields)
+    checks = shape, weight, width = (
+        _shape(fruit.inner_arc_mm_per_10cm, profile),
+        _weight(mass_g, fruit.chord_m, profile) if is_sized else _Check(),
+        _width(fruit.diameter_max_m, profile) if is_sized else _Check(),
+    )
     by_bin = _classes_of_bins(profile, checks)
     range_m = _range_m(fruit, length)
     possible = possible_classes(*range_m, profile.edges_m, by_bin)
     name = class_of(possible)
-    verdict = GradeStatus.UNDECIDED if name == UNDECIDED else GradeStatus.IN_CLASS
-    if name in WITHOUT_CLASS and name != UNDECIDED:
-        verdict = GradeStatus.NO_CLASS
+    verdict = GradeStatus.NO_CLASS if name in WITHOUT_CLASS else GradeStatus.IN_CLASS
     chances = {} if math.isinf(range_m[1]) else _chances(length, profile, by_bin)
     missing = tuple(c.missing for c in checks if c.missing)
     if not chances and math.isfinite(range_m[1]):
         missing += (f"interval of the {profile.length} length: no probabilities",)
     return Grade(
-        verdict=verdict,
+        verdict=GradeStatus.UNDECIDED if name == UNDECIDED else verdict,
         name=name,
         rules=_rules(profile, length_cm, range_m, possible, checks),
         probabilities=chances,
         missing=missing,
-        best_class=_best_of(shape, profile),
+        best_class=next((c.name for c in profile.classes if c.name not in shape.forbidden), ""),
         shape=shape.name,
         weight_class=weight.name,
         diameter_class=width.name,
@@ -398,22 +364,14 @@ def grade(fruit: _Gradable, profile: CropProfile) -> Grade:
     )
 
 
-def _unknown(
-    verdict: GradeStatus, profile: CropProfile, mass_g: float | None, **fields: Any
-) -> Grade:
-    fields = {"name": UNDECIDED, "rules": (), "possible": profile.outcomes, **fields}
-    return Grade(verdict, probabilities={}, mass_g=mass_g, **fields)
+def _without_length(fruit: Any, profile: CropProfile) -> dict[str, Any]:
+    missing = (f"{profile.length} length: no tube could be fitted, or it was not measured",)
+    name = {"name": NOT_MEASURED} if fruit.length is None else {}
+    reason = "" if name else f"no {profile.length} length"
+    return {"verdict": GradeStatus.MISSING, "missing": missing, "reason": reason, **name}
 
 
-def _without_length(fruit: _Gradable, profile: CropProfile, mass_g: float | None) -> Grade:
-    fields: dict[str, Any] = {"reason": f"no {profile.length} length"}
-    if fruit.length is None:
-        fields = {"name": NOT_MEASURED}
-    no_length = f"{profile.length} length: no tube could be fitted, or it was not measured"
-    return _unknown(GradeStatus.MISSING, profile, mass_g, missing=(no_length,), **fields)
-
-
-def _refused(length_cm: float, profile: CropProfile, mass_g: float | None) -> Grade:
+def _refused(length_cm: float, profile: CropProfile) -> dict[str, Any]:
     rule = Message(
         "refused: {kind} length {length:.1f} cm cannot be, {crop} is accepted from {low:g} to "
         "{high:g} cm; measure again",
@@ -424,42 +382,20 @@ def _refused(length_cm: float, profile: CropProfile, mass_g: float | None) -> Gr
         high=profile.acceptance.max_cm,
     )
     reason = "such a length cannot be"
-    return _unknown(GradeStatus.REFUSED, profile, mass_g, rules=(rule,), reason=reason)
+    return {"verdict": GradeStatus.REFUSED, "rules": (rule,), "reason": reason}
 
 
-def _checks(
-    fruit: _Gradable, mass_g: float | None, profile: CropProfile
-) -> tuple[_Check, _Check, _Check]:
-    """Return the results of the rules for shape, weight and width."""
-    shape = _shape(fruit.inner_arc_mm_per_10cm, profile)
-    if not _has_known_size(fruit):
-        return shape, _Check(), _Check()
-    weight = _weight(mass_g, fruit.chord_m, profile)
-    width = _width(fruit.diameter_max_m, profile)
-    if profile.size_rules == "remark":
-        return shape, weight.as_remark(), width.as_remark()
-    return shape, weight, width
-
-
-def _has_known_size(fruit: _Gradable) -> bool:
-    """Return whether mass and diameter are known, too: a hidden part adds to them."""
-    return not (fruit.at_least or is_length_unknown(fruit.flags.split()))
-
-
-_PART, _UNCERTAIN = "only part of it is seen", "the length is uncertain"
-
-
-def _range_m(fruit: _Gradable, length: Length) -> tuple[float, float]:
+def _range_m(fruit: Any, length: Length) -> tuple[float, float]:
     """Return the range of a fruit's length: its interval, or from a lower bound to infinity.
 
     Nothing is known of a length whose interval is too wide, or whose depth cannot be its distance.
     A length that was measured by a method and has no interval is as uncertain as in forecasts.
     """
+    measured: Length | None = fruit.length
     if fruit.at_least:
         return length.value_m, math.inf
     if is_length_unknown(fruit.flags.split()):
         return 0.0, math.inf
-    measured = fruit.length
     if measured is None:
         return length.value_m, length.value_m
     if measured.low_m is None or measured.high_m is None or measured.interval_of != measured.kind:
@@ -479,20 +415,30 @@ def _rules(
 ) -> tuple[str, ...]:
     """Return the rules behind a grade, the deciding one first."""
     lowering = tuple(check.rule for check in checks if check.rule)
+    edges_cm = [-math.inf, *(profile.edges_m * 100), math.inf]
+    k = int(np.searchsorted(edges_cm[1:-1], length_cm + 1e-6, side="right"))
+    parts: dict[str, object] = {"kind": Message(profile.length), "length": length_cm}
+    parts |= {"low": edges_cm[k], "high": edges_cm[k + 1]}
+    rule = "class {name}: {kind} length {length:.1f} cm is in [{low:g}, {high:g})"
     if class_of(possible) == UNDECIDED:
-        low_cm, high_cm = (100 * end for end in range_m)
+        low_cm, high_cm = parts["low"], parts["high"] = (100 * end for end in range_m)
         rule = "undecided: {kind} length {low:.1f} to {high:.1f} cm: {classes}"
         if math.isinf(high_cm):
             rule = "undecided: {kind} length the length is uncertain"
             if low_cm:
                 rule = "undecided: {kind} length at least {low:.1f} cm: only part of it is seen"
-        parts = {"kind": Message(profile.length), "low": low_cm, "high": high_cm}
-        rule = Message(rule, **parts, classes=choice_words(possible))
-        return (_sourced(rule, profile, "classes"), *lowering)
-    bin_index = int(np.searchsorted(profile.edges_m * 100, length_cm + 1e-6, side="right"))
-    by_length = _length_rule(profile, length_cm, bin_index)
-    lowered = possible != (_classes_of_bins(profile, ())[bin_index],)
-    return (*lowering, by_length) if lowered else (by_length, *lowering)
+    elif k == 0:
+        rule = "too short: {kind} length {length:.1f} cm is under {high:g}"
+    elif k == len(edges_cm) - 2:
+        rule = "too long: {kind} length {length:.1f} cm is {low:g} or more"
+    parts |= {"name": profile.outcomes[profile.outcome_of_bin[k]]}
+    message = Message(rule, **parts, classes=choice_words(possible))
+    by_length = _sourced(message, profile, "classes")
+    is_lowered = len(possible) == 1 and possible != (_classes_of_bins(profile, ())[k],)
+    return (*lowering, by_length) if is_lowered else (by_length, *lowering)
+
+
+_PART, _UNCERTAIN = "only part of it is seen", "the length is uncertain"
 
 
 def _reason(
@@ -507,10 +453,6 @@ def _reason(
     if by_length == (name,):
         return "by length"
     return joined(check.reason for check in checks if check.forbidden and check.reason)
-
-
-def _best_of(shape: _Check, profile: CropProfile) -> str:
-    return next((c.name for c in profile.classes if c.name not in shape.forbidden), "")
 
 
 def _classes_of_bins(profile: CropProfile, checks: tuple[_Check, ...]) -> list[str]:
@@ -535,40 +477,24 @@ def _chances(length: Length, profile: CropProfile, by_bin: list[str]) -> dict[st
     return chances
 
 
-def _length_rule(profile: CropProfile, length_cm: float, bin_index: int) -> str:
-    edges = [-math.inf, *(profile.edges_m * 100), math.inf]
-    outcome = profile.outcome_of_bin[bin_index]
-    rule = "class {name}: {kind} length {length:.1f} cm is in [{low:g}, {high:g})"
-    if bin_index == 0:
-        rule = "too short: {kind} length {length:.1f} cm is under {high:g}"
-    elif bin_index == len(edges) - 2:
-        rule = "too long: {kind} length {length:.1f} cm is {low:g} or more"
-    parts = {"name": profile.outcomes[outcome], "kind": Message(profile.length)}
-    low_cm, high_cm = edges[bin_index : bin_index + 2]
-    rule = Message(rule, length=length_cm, low=low_cm, high=high_cm, **parts)
-    return _sourced(rule, profile, "classes")
-
-
 def _shape(arc_mm: float | None, profile: CropProfile) -> _Check:
-    if not profile.shape:
-        return _Check()
-    if arc_mm is None:
-        return _Check(missing="inner arc height: taken as straight")
+    if not profile.shape or arc_mm is None:
+        missing = "inner arc height: taken as straight" if profile.shape else ""
+        return _Check(missing=missing)
     names = [c.name for c in profile.classes]
-    band = next(
-        (b for b in profile.shape if b.max_mm_per_10cm is None or arc_mm <= b.max_mm_per_10cm),
-        profile.shape[-1],
+    limits = (
+        math.inf if band.max_mm_per_10cm is None else band.max_mm_per_10cm for band in profile.shape
     )
+    bands = (band for band, limit in zip(profile.shape, limits, strict=True) if arc_mm <= limit)
+    band = next(bands, profile.shape[-1])
     better = frozenset(names[: names.index(band.best_class)])
     if not better:
         return _Check(band.name)
-    rule = Message(
-        "at best class {name}, {shape}: inner arc {arc:.1f} mm for each 10 cm of chord",
-        name=band.best_class,
-        shape=Message(band.name),
-        arc=arc_mm,
+    rule = "at best class {name}, {shape}: inner arc {arc:.1f} mm for each 10 cm of chord"
+    parts = {"name": band.best_class, "shape": Message(band.name), "arc": arc_mm}
+    return _Check(
+        band.name, better, _sourced(Message(rule, **parts), profile, "shape"), "", band.name
     )
-    return _Check(band.name, better, _sourced(rule, profile, "shape"), reason=band.name)
 
 
 def _weight(mass_g: float | None, chord_m: float | None, profile: CropProfile) -> _Check:
@@ -576,14 +502,12 @@ def _weight(mass_g: float | None, chord_m: float | None, profile: CropProfile) -
         return _Check()
     if mass_g is None:
         return _Check(missing="volume: no weight class")
-    everything = frozenset(c.name for c in profile.classes)
     if profile.minimum_g is not None and mass_g < profile.minimum_g:
         rule = "too light: about {mass:.0f} g, at least {limit:g} g required"
         rule = Message(rule, mass=mass_g, limit=profile.minimum_g)
-        return _Check("", everything, _sourced(rule, profile, "minimum_g"), reason="too light")
-    band = next(
-        (b for b in profile.weights if b.min_g <= mass_g and (b.max_g or np.inf) > mass_g), None
-    )
+        return _forbidding(profile, "", rule, "minimum_g", "too light")
+    bands = (b for b in profile.weights if b.min_g <= mass_g < (b.max_g or math.inf))
+    band = next(bands, None)
     if band is None or band.shortest_cm is None:
         return _Check(band.name if band else "")
     if chord_m is None:
@@ -597,8 +521,8 @@ def _weight(mass_g: float | None, chord_m: float | None, profile: CropProfile) -
         weight=Message(band.name),
         limit=band.shortest_cm,
     )
-    rule = _sourced(rule, profile, "weights")
-    return _Check(band.name, frozenset(band.shortest_for), rule, reason="short for its weight")
+    reason = "short for its weight"
+    return _forbidding(profile, band.name, rule, "weights", reason, band.shortest_for)
 
 
 def _width(diameter_m: float | None, profile: CropProfile) -> _Check:
@@ -611,11 +535,25 @@ def _width(diameter_m: float | None, profile: CropProfile) -> _Check:
     if least_mm is not None and width_mm < least_mm:
         rule = "too thin: {width:.1f} mm, at least {limit:g} mm required"
         rule = Message(rule, width=width_mm, limit=least_mm)
-        everything = frozenset(c.name for c in profile.classes)
-        rule = _sourced(rule, profile, "minimum_diameter_mm")
-        return _Check("", everything, rule, reason="too thin")
+        return _forbidding(profile, "", rule, "minimum_diameter_mm", "too thin")
     bands = (b.name for b in profile.diameters if b.max_mm is None or width_mm <= b.max_mm)
     return _Check(next(bands, ""))
+
+
+def _forbidding(
+    profile: CropProfile,
+    name: str,
+    rule: Message,
+    key: str,
+    reason: str,
+    forbidden: Iterable[str] | None = None,
+) -> _Check:
+    """Return a check on weight or width that forbids classes, all by default, or only remarks."""
+    rule = _sourced(rule, profile, key)
+    if profile.size_rules == "remark":
+        return _Check(name, rule=Message("remark: {rule}", rule=rule))
+    every_class = (c.name for c in profile.classes)
+    return _Check(name, frozenset(forbidden or every_class), rule, reason=reason)
 
 
 def _sourced(rule: Message, profile: CropProfile, key: str) -> Message:
@@ -625,7 +563,5 @@ def _sourced(rule: Message, profile: CropProfile, key: str) -> Message:
 
 def _number(row: Mapping[str, object], key: str, per_unit: float = 1.0) -> float | None:
     cell = row.get(key)
-    if cell is None or cell == "":
-        return None
-    value = float(str(cell)) / per_unit
-    return value if np.isfinite(value) else None
+    value = math.nan if cell is None or cell == "" else float(str(cell)) / per_unit
+    return value if math.isfinite(value) else None

@@ -126,7 +126,7 @@ def test_rotation_of_nine_is_column_by_column_and_of_rows_is_rows(tmp_path: Path
         ),
         (
             OURS | {"depth_to_color": {"rotation": [[1, 0], [0]], "translation_m": [0, 0, 0]}},
-            "is not a rotation",
+            "'depth_to_color.rotation': ",
         ),
         ([1, 2], "camera matrix is not"),
         (7, "holds no intrinsics"),

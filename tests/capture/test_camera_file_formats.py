@@ -16,7 +16,6 @@ from cucumbervision.errors import DepthError, IntrinsicsError
 from cucumbervision.tube.camera import Distortion
 
 ROWS = [60.5, 0.0, 31.5, 0.0, 60.25, 24.5, 0.0, 0.0, 1.0]
-COLUMNS = [60.5, 0.0, 0.0, 0.0, 60.25, 0.0, 31.5, 24.5, 1.0]
 LENS = [0.1, -0.05, 0.001, -0.002, 0.01]
 SIZE = {"width": 64, "height": 48}
 ROS = f"""header:
@@ -50,7 +49,6 @@ TEXTS = {
             "depth_scale": 0.001,
         }
     ),
-    "record3d.json": json.dumps({"K": COLUMNS, "w": 64, "h": 48}),
     "cam_K.txt": "60.5 0 31.5\n0 60.25 24.5\n0 0 1\n",
     "intrinsic_color.txt": "60.5 0 31.5 0\n0 60.25 24.5 0\n0 0 1 0\n0 0 0 1\n",
     "matrix.json": json.dumps([ROWS[:3], ROWS[3:6], ROWS[6:]]),

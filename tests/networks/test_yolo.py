@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from cucumbervision.errors import CucumberVisionError, ModelError
-from cucumbervision.networks.yolo import YoloDetector
-from cucumbervision.networks.yolo_layout import SIZES_KEY
+from cucumbervision.networks.yolo import SIZES_KEY, YoloDetector
 
 onnx = pytest.importorskip("onnx")
 

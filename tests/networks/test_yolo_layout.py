@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cucumbervision.errors import ModelError
-from cucumbervision.networks.yolo_layout import RowKind, choose_raw, choose_rows, raw_of, row_kind
+from cucumbervision.networks.yolo import RowKind, choose_raw, choose_rows, raw_of, row_kind
 
 
 @pytest.mark.parametrize(

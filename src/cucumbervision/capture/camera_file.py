@@ -1,19 +1,17 @@
-"""Read and find intrinsics files: ours, those of ROS and librealsense, and plain matrices."""
+"""Read intrinsics files: ours, those of ROS and librealsense, and plain matrices."""
 
 from __future__ import annotations
 
 import re
-from contextlib import suppress
 from dataclasses import dataclass, fields
-from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Literal, cast
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, PlainValidator, model_validator
 
 from cucumbervision.capture.intrinsics import DepthAlong, Intrinsics, Stream, pinhole_of_matrix
 from cucumbervision.capture.pictures import read_array
-from cucumbervision.errors import CaptureError, IntrinsicsError, as_errors_of, wrap_reader_errors
+from cucumbervision.errors import IntrinsicsError, as_errors_of, wrap_reader_errors
 from cucumbervision.files import parse_model, read_json, read_text
 from cucumbervision.tube.camera import Distortion
 
@@ -21,39 +19,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from numpy.typing import NDArray
-
-    from cucumbervision.capture.source import Folder
-
-
-_OWN_NAME = "intrinsics.json"
-_CAMERA_NAME = re.compile(
-    r"(.*(intrinsic|camera|cam_?k|calib).*|k)\.(json|ya?ml|xml|txt)"
-    r"|(.*(intrinsics?|cam_?k|camera_?matrix)|k)\.npy",
-    re.IGNORECASE,
-)
-_CAMERA_WORD = re.compile(
-    r"intrinsics?|camera|cam|k|camk|calib(ration)?|info|colou?r|rgb|depth|aligned|to|matrix|params?"
-)
-_SAY_STREAM = (
-    'add "stream": "color", or call the file color_intrinsics, if they are the colour camera\'s at '
-    "that size (depth-stream intrinsics scale every length)"
-)
-
-
-@dataclass(frozen=True, eq=False)
-class Extrinsics:
-    """Transform from depth to colour camera coordinates: x_color = R x_depth + t.
-
-    Parameters
-    ----------
-    rotation : ndarray of float64, shape (3, 3)
-        R in row-major order.
-    translation_m : ndarray of float64, shape (3,)
-        t, metres.
-    """
-
-    rotation: NDArray[np.float64]
-    translation_m: NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -134,114 +99,85 @@ class CameraModel(StrictModel):
         return cls(**{key.removesuffix("_px"): value for key, value in vars(intrinsics).items()})
 
 
+def _rotation(values: Any) -> NDArray[np.float64]:
+    """Return R, shape (3, 3), of its rows, or of the nine numbers of the SDK by columns."""
+    rotation = np.array(values, dtype=float)
+    rotation = rotation.reshape(3, 3).T if rotation.shape == (9,) else rotation
+    is_square = rotation.shape == (3, 3)
+    if not is_square or not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3):
+        raise ValueError("is not a rotation, as three rows or the SDK's nine numbers by columns")
+    if np.linalg.det(rotation) < 0:
+        raise ValueError("is not a rotation but a mirror image")
+    return rotation
+
+
+def _vector(values: Any) -> NDArray[np.float64]:
+    return np.array(values, dtype=float).reshape(3)
+
+
+class Extrinsics(StrictModel):
+    """Transform from depth to colour camera coordinates: x_color = R x_depth + t.
+
+    Parameters
+    ----------
+    rotation : ndarray of float64, shape (3, 3)
+        R.
+    translation_m : ndarray of float64, shape (3,)
+        t, metres.
+    """
+
+    rotation: Annotated[Any, PlainValidator(_rotation)]
+    translation_m: Annotated[Any, PlainValidator(_vector)]
+
+
 class _DepthModel(CameraModel):
     stream: Literal[Stream.DEPTH] = Stream.DEPTH
 
 
-class _ExtrinsicsModel(StrictModel):
-    # Nine numbers are the SDK's rs2_extrinsics in column-major order; three rows are a matrix.
-    rotation: list[float] | list[list[float]]
-    translation_m: tuple[float, float, float]
-
-
 class _FileModel(CameraModel):
     depth: _DepthModel | None = None
-    depth_to_color: _ExtrinsicsModel | None = None
+    depth_to_color: Extrinsics | None = None
     depth_unit_m: float | None = Field(default=None, gt=0)
     depth_along: DepthAlong | None = None
     aligned_to: Stream | None = None
 
 
-class CameraFinder:
-    """Finds the intrinsics file of a picture, in its folder or the nearest parent folder.
-
-    A file whose name refers to certain pictures (`cam1_intrinsics.json` beside `cam1_color_1.png`
-    and `cam2_color_1.png`) belongs only to these. Of several other files, the native name has
-    priority; the others must contain the same camera.
-
-    Parameters
-    ----------
-    folder : Folder
-        The available files.
-
-    Examples
-    --------
-    >>> from pathlib import Path
-    >>> from cucumbervision.capture.source import Folder
-    >>> walk = Folder(Path("walk"), {"": ["camera.json"], "rgb": ["1.png"]})
-    >>> CameraFinder(walk).find("rgb")
-    PosixPath('walk/camera.json')
-    """
-
-    def __init__(self, folder: Folder) -> None:
-        self._folder = folder
-        self._pictures = lru_cache(maxsize=None)(self._begins_of_pictures)
-        self._cameras = lru_cache(maxsize=None)(self._cameras_by_owner)
-        self._only = lru_cache(maxsize=None)(_only)
-
-    def find(self, folder_path: str, picture: str = "") -> Path | None:
-        """Return the file of a picture, or of a subfolder; None without one.
-
-        Raises
-        ------
-        IntrinsicsError
-            If several files could belong to the picture and differ.
-        """
-        words, others = _stem_words(picture), self._pictures(folder_path)
-        while True:
-            owners = self._cameras(folder_path)
-            length = next((k for k in range(len(words), 0, -1) if words[:k] in owners), 0)
-            shared = (name for owner in owners if owner not in others for name in owners[owner])
-            names = tuple(sorted(owners[words[:length]] if length else shared))
-            if names or not folder_path:
-                file = self._only(self._folder.path / folder_path, names)
-                if isinstance(file, IntrinsicsError):
-                    raise file
-                return file
-            folder_path = folder_path.rpartition("/")[0]
-
-    def _begins_of_pictures(self, folder_path: str) -> set[tuple[str, ...]]:
-        """Return the words with which names of pictures begin."""
-        names = self._folder.files.get(folder_path, ())
-        pictures = (_stem_words(name) for name in names if _is_picture(name))
-        return {words[:k] for words in pictures for k in range(1, len(words) + 1)}
-
-    def _cameras_by_owner(self, folder_path: str) -> dict[tuple[str, ...], list[str]]:
-        """Return the intrinsics files of a folder by the words that refer to certain pictures."""
-        owners: dict[tuple[str, ...], list[str]] = {}
-        for name in self._folder.files.get(folder_path, ()):
-            if _CAMERA_NAME.fullmatch(name):
-                owner = tuple(w for w in _stem_words(name) if not _CAMERA_WORD.fullmatch(w))
-                owners.setdefault(owner, []).append(name)
-        return owners
-
-
-def _only(folder: Path, names: tuple[str, ...]) -> Path | IntrinsicsError | None:
-    """Return the only file with a camera among these, or why none is; None without a file."""
-    if _OWN_NAME in names or len(names) < 2:
-        return folder / (_OWN_NAME if _OWN_NAME in names else names[0]) if names else None
-    cameras: dict[str, Intrinsics] = {}
-    for name in names:
-        with suppress(CaptureError):
-            camera = read_camera_file(folder / name).intrinsics
-            if camera.stream is Stream.COLOR:
-                cameras[name] = camera
-    if len(set(cameras.values())) > 1:
-        return IntrinsicsError(
-            "{names} hold different cameras, and no name tells whose is whose",
-            source=folder,
-            remedy="begin its name as the pictures' (cam1_intrinsics.json), or give --intrinsics",
-            names=", ".join(cameras),
-        )
-    return folder / next(iter(cameras), names[0])
-
-
-def _is_picture(name: str) -> bool:
-    return name.lower().endswith((".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".ppm"))
-
-
-def _stem_words(name: str) -> tuple[str, ...]:
-    return tuple(re.findall(r"[^\W_]+", name.rpartition(".")[0].casefold()))
+_SAY_STREAM = (
+    'add "stream": "color", or call the file color_intrinsics, if they are the colour camera\'s at '
+    "that size (depth-stream intrinsics scale every length)"
+)
+_REMEDY = (
+    "write ours (docs/captures.md), ROS's camera_info, librealsense's or a 3x3 matrix; a reader "
+    "can be plugged in: examples/plugins.py"
+)
+# Keys of ROS and librealsense, with ours.
+_KEYS = {
+    **{"camera_matrix": "matrix", "K": "matrix", "k": "matrix", "cam_K": "matrix"},
+    **{"projection_matrix": "P", "p": "P", "distortion_coefficients": "D", "d": "D"},
+    **{"image_width": "width", "image_height": "height", "ppx": "cx", "ppy": "cy"},
+    **{"coeffs": "coefficients", "model": "distortion"},
+}
+_FIVE_COEFFICIENTS = frozenset({"plumb_bob", "rational_polynomial", "brown_conrady", "none", ""})
+# Files that are not read, since their lens, pixel or unit conventions are others: by a key, or by
+# a beginning of their text.
+_OTHERS = {
+    **{"fl_x": "nerfstudio", "Camera.fx": "ORB-SLAM", "cam0": "Kalibr", "distCoeffs": "OpenCV"},
+    **{"intrinsic": "Open3D", "intrinsic_matrix": "Open3D"},
+}
+_OTHER_TEXTS = (
+    (re.compile(r"%YAML.*Camera\.fx", re.DOTALL), "ORB-SLAM"),
+    (re.compile(r"%YAML|<opencv_storage|<\?xml"), "OpenCV"),
+    (re.compile(r"(#.*\n)*\d+ [A-Z_]+ \d+ \d+ "), "COLMAP"),
+)
+_BOP_KEYS = frozenset({"cx", "cy", "depth_scale", "fx", "fy", "height", "width"})
+# As librealsense prints it: [ 640x480  p[319.5 239.5]  f[600 600]  Brown Conrady [0 0 0 0 0] ]
+_PRINTED = re.compile(
+    r"\[\s*(\d+)x(\d+)\s+p\[(\S+) (\S+)\]\s+f\[(\S+) (\S+)\]\s+([A-Za-z ]+?)\s*"
+    r"\[([^\]]*)\]\s*\]"
+)
+_COARSEST_M = 0.01  # a larger 'depth_scale' is not in metres
+_COLOR = re.compile(r"colou?r|rgb", re.IGNORECASE)
+_NOT_COLOR = re.compile(r"depth|infra|(^|[^a-z])ir([^a-z]|$)", re.IGNORECASE)
 
 
 def read_camera_file(path: Path) -> CameraFile:
@@ -252,7 +188,10 @@ def read_camera_file(path: Path) -> CameraFile:
     path : Path
         JSON with `stream, width, height, fx, fy, cx, cy`, optionally `distortion, coefficients,
         depth, depth_to_color, depth_unit_m, depth_along, aligned_to`, or the same with a 3x3
-        `matrix` for fx, fy, cx, cy; or what `camera_document` knows.
+        `matrix` for fx, fy, cx, cy; ROS's `camera_info` (`K`, `D`) or its calibration file
+        (`camera_matrix`); a stream's intrinsics of pyrealsense2 (`ppx`, `ppy`, `coeffs`), or as it
+        prints them; those of several streams by name (`color`, `depth`). A matrix alone, of three
+        or four rows and columns, as text, JSON or `.npy`.
 
     Returns
     -------
@@ -264,131 +203,57 @@ def read_camera_file(path: Path) -> CameraFile:
     CaptureError
         If the file is missing or cannot be parsed.
     IntrinsicsError
-        If a key is missing, unknown or invalid, or the stream is missing.
+        If a key is missing, unknown or invalid, the stream is missing, the file is of another
+        program, or has a lens model with more than five coefficients.
+
+    Notes
+    -----
+    A matrix, or ROS's, is the colour camera's, unless the file's name or its frame's says 'depth'
+    or 'infra'. Ours and pyrealsense2's must say it, in the file or by its name.
     """
-    data = camera_document(path)
-    if "stream" not in data:
-        raise IntrinsicsError(
-            "does not say which stream these intrinsics belong to", source=path, remedy=_SAY_STREAM
-        )
-    sized = True
+    data = _read(path)
+    data = {"matrix": data} if isinstance(data, list) else data
+    if not isinstance(data, dict):
+        remedy = "give one JSON object with stream, fx, …"
+        raise IntrinsicsError("holds no intrinsics", source=path, remedy=remedy)
+    program = next((_OTHERS[key] for key in data if key in _OTHERS), "")
+    if program or frozenset(data) == _BOP_KEYS:
+        raise _other_program(program or "BOP", path)
+    with wrap_reader_errors(path, IntrinsicsError):
+        data = {_KEYS.get(key, key): value for key, value in _color_block(data).items()}
+        if "matrix" in data and ("stream" not in data or "D" in data):
+            data = _of_ros(data, path)
+    is_sized = {"width", "height"} <= data.keys()
     if "matrix" in data:
         with as_errors_of(path):
             values = pinhole_of_matrix(data.pop("matrix"))
         data |= dict(zip(("fx", "fy", "cx", "cy"), values, strict=True))
-        # Without a size, the intrinsics apply to the picture that they are used with.
-        sized = {"width", "height"} <= data.keys()
-        if not sized:
+        if not is_sized:
+            # Without a size, the intrinsics apply to the picture that they are used with.
             data |= {"width": max(1, round(2 * values[2])), "height": max(1, round(2 * values[3]))}
+    by_name = {"color": _COLOR, "depth": _NOT_COLOR}
+    streams = [stream for stream, word in by_name.items() if word.search(path.stem)]
+    if "stream" not in data and len(streams) != 1:
+        fault = "does not say which stream these intrinsics belong to"
+        raise IntrinsicsError(fault, source=path, remedy=_SAY_STREAM)
+    data = {"stream": streams[0] if streams else "", **data}
     rectified = data.pop("rectified", None)
+    if "distortion" in data:
+        data["distortion"] = str(data["distortion"]).removeprefix("distortion.")
     model = parse_model(_FileModel, data, source=path, error=IntrinsicsError)
     with as_errors_of(path):
+        size = (model.width, model.height, model.stream)
         return CameraFile(
             intrinsics=model.intrinsics,
             path=path,
-            depth=model.depth.intrinsics if model.depth else None,
-            depth_to_color=_extrinsics(model.depth_to_color, path)
-            if model.depth_to_color
-            else None,
+            depth=model.depth and model.depth.intrinsics,
+            depth_to_color=model.depth_to_color,
             depth_unit_m=model.depth_unit_m,
             depth_along=model.depth_along,
             aligned_to=model.aligned_to,
-            is_sized=sized,
-            rectified=None
-            if rectified is None
-            else Intrinsics.from_matrix(rectified, model.width, model.height, model.stream),
+            is_sized=is_sized,
+            rectified=None if rectified is None else Intrinsics.from_matrix(rectified, *size),
         )
-
-
-def _extrinsics(model: _ExtrinsicsModel, path: Path) -> Extrinsics:
-    try:
-        rotation = np.array(model.rotation, dtype=float)
-    except ValueError:
-        rotation = np.zeros(0)
-    if rotation.shape == (9,):
-        rotation = rotation.reshape(3, 3).T
-    proper = rotation.shape == (3, 3) and (
-        np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3) and np.linalg.det(rotation) > 0
-    )
-    if not proper:
-        raise IntrinsicsError(
-            "'depth_to_color.rotation' is not a rotation",
-            source=path,
-            remedy="give the SDK's nine numbers (column by column) or a matrix of three rows",
-        )
-    return Extrinsics(cast("NDArray[np.float64]", rotation), np.array(model.translation_m))
-
-
-_MATRICES = ("camera_matrix", "K", "k", "cam_K")
-_PROJECTIONS = ("projection_matrix", "P", "p")
-_LENSES = ("distortion_coefficients", "D", "d")
-_FIVE_COEFFICIENTS = frozenset({"plumb_bob", "rational_polynomial", "brown_conrady", "none", ""})
-# Keys of files that are not read: their lens, pixel or unit conventions are others.
-_OTHERS = {
-    "fl_x": "nerfstudio",
-    "Camera.fx": "ORB-SLAM",
-    "cam0": "Kalibr",
-    "intrinsic": "Open3D",
-    "intrinsic_matrix": "Open3D",
-    "distCoeffs": "OpenCV",
-    "opencv_storage": "OpenCV",
-}
-_BOP_KEYS = frozenset({"cx", "cy", "depth_scale", "fx", "fy", "height", "width"})
-_REMEDY = (
-    "write ours (docs/captures.md), ROS's camera_info, librealsense's or a 3x3 matrix; a reader "
-    "can be plugged in: examples/plugins.py"
-)
-# As librealsense prints it: [ 640x480  p[319.5 239.5]  f[600 600]  Brown Conrady [0 0 0 0 0] ]
-_PRINTED = re.compile(
-    r"\[\s*(\d+)x(\d+)\s+p\[(\S+) (\S+)\]\s+f\[(\S+) (\S+)\]\s+([A-Za-z ]+?)\s*"
-    r"\[([^\]]*)\]\s*\]"
-)
-_COLMAP = re.compile(r"^\d+ [A-Z_]+ \d+ \d+ ", re.MULTILINE)
-_COARSEST_M = 0.01  # a larger 'depth_scale' is not in metres
-_COLOR = re.compile(r"colou?r|rgb", re.IGNORECASE)
-_NOT_COLOR = re.compile(r"depth|infra|(^|[^a-z])ir([^a-z]|$)", re.IGNORECASE)
-
-
-def camera_document(path: Path) -> dict[str, Any]:
-    """Read an intrinsics file of any supported format as a document with our keys.
-
-    Parameters
-    ----------
-    path : Path
-        JSON or YAML: ours; ROS's `camera_info` (`K`, `D`) or its calibration file
-        (`camera_matrix`); a stream's intrinsics of pyrealsense2 (`ppx`, `ppy`, `coeffs`), or as it
-        prints them; those of several streams by name (`color`, `depth`). A matrix alone, of three
-        or four rows and columns, by rows or by columns, as text, JSON or `.npy`.
-
-    Raises
-    ------
-    CaptureError
-        If the file is missing or cannot be parsed.
-    IntrinsicsError
-        If the file contains no intrinsics, is of another program, or has a lens model with more
-        than five coefficients.
-
-    Notes
-    -----
-    Formats without a place for the stream are the colour camera's, unless the file's name or its
-    frame's says 'depth' or 'infra'. pyrealsense2's must say it, in the file or by its name, since
-    it writes those of any stream alike.
-    """
-    data = _read(path)
-    if isinstance(data, list):
-        data = {"K": data}
-    if not isinstance(data, dict):
-        raise IntrinsicsError(
-            "holds no intrinsics", source=path, remedy="give one JSON object with stream, fx, …"
-        )
-    program = next((_OTHERS[key] for key in data if key in _OTHERS), "")
-    if program or (frozenset(data) == _BOP_KEYS):
-        raise _other_program(program or "BOP", path)
-    with wrap_reader_errors(path, IntrinsicsError):
-        data = _color_block(data)
-        if "ppx" in data:
-            return _of_realsense(data, path)
-        return data if "stream" in data and "fx" in data else _of_matrix(data, path)
 
 
 def _other_program(program: str, path: Path) -> IntrinsicsError:
@@ -397,11 +262,8 @@ def _other_program(program: str, path: Path) -> IntrinsicsError:
 
 def _color_block(data: dict[str, Any]) -> dict[str, Any]:
     """Return the colour camera's block of a file with several, else the file's own keys."""
-    colors = [
-        key
-        for key, value in data.items()
-        if isinstance(value, dict) and _COLOR.search(key) and not _NOT_COLOR.search(key)
-    ]
+    blocks = [key for key, value in data.items() if isinstance(value, dict)]
+    colors = [key for key in blocks if _COLOR.search(key) and not _NOT_COLOR.search(key)]
     if len(colors) != 1 or "stream" in data:
         return data
     step = data.get("depth_scale")
@@ -415,10 +277,11 @@ def _read(path: Path) -> Any:
         return read_json(path)
     with wrap_reader_errors(path, IntrinsicsError):
         if suffix == ".npy":
-            return {"K": read_array(path).astype(float)}
+            return {"matrix": read_array(path).astype(float)}
         text = read_text(path)
-        if suffix == ".xml" or text.startswith("%YAML"):
-            raise _other_program("OpenCV" if "Camera.fx" not in text else "ORB-SLAM", path)
+        for other, program in _OTHER_TEXTS:
+            if other.match(text):
+                raise _other_program(program, path)
         if suffix in (".yaml", ".yml"):
             import yaml
 
@@ -426,38 +289,20 @@ def _read(path: Path) -> Any:
                 raise ValueError("it has anchors, which may stand for much more than they are")
             return yaml.safe_load(text)
         if printed := _PRINTED.search(text):
-            width, height, cx, cy, fx, fy, lens, coefficients = printed.groups()
+            *numbers, lens, coefficients = printed.groups()
+            names = ("width", "height", "ppx", "ppy", "fx", "fy")
             return {
-                **{"width": int(width), "height": int(height)},
-                **{"fx": float(fx), "fy": float(fy), "ppx": float(cx), "ppy": float(cy)},
+                **{name: float(number) for name, number in zip(names, numbers, strict=True)},
                 "model": lens.strip().lower().replace(" ", "_"),
                 "coeffs": [float(number) for number in coefficients.split()],
             }
-        if _COLMAP.search(text):
-            raise _other_program("COLMAP", path)
         rows = [line for line in text.splitlines() if not line.lstrip().startswith("#")]
-        return {"K": np.array(" ".join(rows).replace(",", " ").split(), dtype=float)}
+        return {"matrix": np.array(" ".join(rows).replace(",", " ").split(), dtype=float)}
 
 
-def _of_realsense(data: dict[str, Any], path: Path) -> dict[str, Any]:
-    names = {"ppx": "cx", "ppy": "cy", "coeffs": "coefficients", "model": "distortion"}
-    ours = {names.get(key, key): value for key, value in data.items()}
-    if "distortion" in ours:
-        ours["distortion"] = str(ours["distortion"]).removeprefix("distortion.")
-    if "stream" not in ours:
-        by_name = {"color": _COLOR, "depth": _NOT_COLOR}
-        streams = [stream for stream, word in by_name.items() if word.search(path.stem)]
-        if len(streams) == 1:
-            ours["stream"] = streams[0]
-    return ours
-
-
-def _of_matrix(data: dict[str, Any], path: Path) -> dict[str, Any]:
+def _of_ros(data: dict[str, Any], path: Path) -> dict[str, Any]:
     """Return the camera of a matrix, with what ROS's `camera_info` writes beside it."""
-    value = _first(data, _MATRICES)
-    if value is None:
-        return data
-    lens = _numbers(_first(data, _LENSES) or [])
+    lens = _numbers(data.get("D") or []).tolist()
     lens_model = str(data.get("distortion_model") or "").lower()
     if any(lens[5:]) or lens_model not in _FIVE_COEFFICIENTS:
         raise IntrinsicsError(
@@ -465,57 +310,29 @@ def _of_matrix(data: dict[str, Any], path: Path) -> dict[str, Any]:
             source=path,
             remedy="rectify the pictures, or calibrate with five coefficients",
         )
-    matrix = _by_rows(_numbers(value))
+    matrix = _numbers(data["matrix"])
+    matrix = matrix.reshape(4, 4)[:3, :3] if matrix.size == 16 else matrix
     ours: dict[str, Any] = {"stream": data.get("stream") or _stream_of(data, path)}
-    for key in ("width", "height"):
-        number = data.get(key, data.get(f"image_{key}", data.get(key[0])))
-        if number is not None:
-            ours[key] = number
     if any(lens):
         ours |= {"distortion": "brown_conrady", "coefficients": [*lens, *[0.0] * 5][:5]}
-    projection = _numbers(_first(data, _PROJECTIONS) or [])
-    if len(projection) == 12 and any(projection):
-        ours["rectified"] = np.reshape(projection, (3, 4))[:, :3]
-    return _in_region(ours | {"matrix": matrix}, data)
-
-
-def _first(data: dict[str, Any], keys: tuple[str, ...]) -> Any:
-    return next((data[key] for key in keys if key in data), None)
-
-
-def _in_region(camera: dict[str, Any], data: dict[str, Any]) -> dict[str, Any]:
-    """Return a camera of the region of interest and binning that ROS's `camera_info` states."""
+    # The region of interest and the binning that `camera_info` states.
     roi = data.get("roi") or {}
-    axes = (("width", "x", 0), ("height", "y", 1))
-    for key, axis, row in axes:
-        start, binning = (
-            float(roi.get(f"{axis}_offset") or 0),
-            int(data.get(f"binning_{axis}") or 1),
-        )
-        if roi.get(key):
-            camera[key] = int(roi[key]) // binning
-        elif binning > 1:
-            camera[key] = int(camera[key]) // binning
-        for name in ("matrix", "rectified"):
-            if name in camera and (start or binning > 1):
-                k = np.array(camera[name], float).reshape(3, 3)
-                k[row, row] /= binning
-                k[row, 2] = (k[row, 2] - start + 0.5) / binning - 0.5
-                camera[name] = k.ravel().tolist()
-    return camera
-
-
-def _by_rows(values: list[float]) -> list[float]:
-    """Return a camera matrix's nine values by rows, of one by columns or with a fourth row."""
-    matrix = np.array(values)
-    if matrix.size == 16 and np.array_equal(matrix[[3, 7, 11, 12, 13, 14, 15]], [0] * 6 + [1]):
-        matrix = matrix.reshape(4, 4)[:3, :3]
-    if matrix.size == 9:
-        matrix = matrix.reshape(3, 3)
-        is_by_columns = matrix[2, :2].any() and not matrix[:2, 2].any()
-        matrix = matrix.T if is_by_columns else matrix
-    flat: list[float] = matrix.ravel().tolist()
-    return flat
+    start = np.array([float(roi.get(f"{axis}_offset") or 0) for axis in "xy"])
+    binning = np.array([int(data.get(f"binning_{axis}") or 1) for axis in "xy"])
+    for key, binned in zip(("width", "height"), binning.tolist(), strict=True):
+        if key in data:
+            ours[key] = int(roi.get(key) or data[key]) // binned
+    matrices = {"matrix": matrix}
+    projection = _numbers(data.get("P") or [])
+    if projection.size == 12 and projection.any():
+        matrices["rectified"] = projection.reshape(3, 4)[:, :3]
+    for name, values in matrices.items():
+        if values.size == 9 and (start.any() or (binning > 1).any()):
+            values = values.reshape(3, 3).copy()
+            values[:2, :2] /= binning[:, None]
+            values[:2, 2] = (values[:2, 2] - start + 0.5) / binning - 0.5
+        ours[name] = values
+    return ours
 
 
 def _stream_of(data: dict[str, Any], path: Path) -> str:
@@ -532,7 +349,6 @@ def _stream_of(data: dict[str, Any], path: Path) -> str:
     return "depth" if _NOT_COLOR.search(names) else "color"
 
 
-def _numbers(value: Any) -> list[float]:
+def _numbers(value: Any) -> NDArray[np.float64]:
     """Return the values of a matrix given as lists, or as `data`."""
-    data = value["data"] if isinstance(value, dict) else value
-    return np.asarray(data, dtype=float).ravel().tolist()
+    return np.array(value["data"] if isinstance(value, dict) else value, dtype=float).ravel()

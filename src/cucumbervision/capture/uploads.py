@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import io
+import os
 import re
 import shutil
 import stat
@@ -13,7 +13,7 @@ from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path, PurePosixPath
-from typing import IO, TYPE_CHECKING, BinaryIO
+from typing import IO, TYPE_CHECKING, Any, BinaryIO
 
 from cucumbervision.capture.pictures import COLOR_SUFFIXES, DEPTH_SUFFIXES
 from cucumbervision.capture.readers import (
@@ -45,8 +45,9 @@ _PICTURES = (COLOR_SUFFIXES | DEPTH_SUFFIXES) - {".csv"}
 _REMEDY = "pack capture folders, BOP scenes, or colour and depth pictures with matching names"
 _SMALLER, _PACK_AGAIN = "send it in smaller parts", "pack the captures' folder again"
 _FORBIDDEN = re.compile(r'[<>:"|?*]')  # in names on Windows; a part after ':' would be hidden
-# Read at once; longest name of a file; largest entry of a zip's directory, with extra fields.
-_CHUNK, _MOST_BYTES, _ENTRY_BYTES = 1 << 20, 240, 600
+# Longest name of a file; largest entry of a zip's directory, with extra fields.
+_MOST_BYTES, _ENTRY_BYTES = 240, 600
+_ZIP = (b"PK\x03\x04", b"PK\x05\x06")
 _PLAIN = frozenset({zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED})
 _GB = 1_000_000_000
 
@@ -130,12 +131,13 @@ class AcceptedSource:
         """
         with self._sender_names():
             source = open_source(self.path, options)
-        return replace(source, refs=lambda: self._refs(source))
 
-    def _refs(self, source: CaptureSource) -> Iterator[CaptureRef]:
-        for ref in source:
-            location = self.sender_name(ref.location)
-            yield replace(ref, load=partial(self._load, ref.load), location=location)
+        def refs() -> Iterator[CaptureRef]:
+            for ref in source:
+                location = self.sender_name(ref.location)
+                yield replace(ref, load=partial(self._load, ref.load), location=location)
+
+        return replace(source, refs=refs)
 
     def _load(self, load: Callable[[], Capture]) -> Capture:
         with self._sender_names():
@@ -217,6 +219,32 @@ def accept_uploads(
     x.exe: is not a file type we can read; send PNG, JPEG or TIFF pictures, ...
     """
     limits = limits or Limits()
+    require_few(files, limits)
+    batch = folder / f"upload-{uuid.uuid4().hex[:12]}"
+    intake = _Intake(AcceptedUploads(batch), limits)
+    try:
+        with wrap_os_errors("uploads cannot be kept", folder, "choose another folder", UploadError):
+            intake.out.folder.mkdir(parents=True)
+            for number, (name, content) in enumerate(files):
+                intake.receive(number, name, content)
+            if intake.loose.exists():
+                intake.sort(intake.loose, LOOSE)
+            if not intake.out.sources:
+                shutil.rmtree(batch)
+    except BaseException:
+        shutil.rmtree(batch, ignore_errors=True)
+        raise
+    return intake.out
+
+
+def require_few(files: Sequence[object], limits: Limits) -> None:
+    """Refuse more files than are taken at once.
+
+    Raises
+    ------
+    UploadError
+        If there are more.
+    """
     if len(files) > limits.files:
         raise UploadError(
             "{files} files were sent, at most {limit} are taken at once",
@@ -224,22 +252,6 @@ def accept_uploads(
             files=len(files),
             limit=limits.files,
         )
-    batch = folder / f"upload-{uuid.uuid4().hex[:12]}"
-    intake = _Intake(AcceptedUploads(batch), limits)
-    try:
-        with wrap_os_errors("uploads cannot be kept", folder, "choose another folder", UploadError):
-            intake.loose.mkdir(parents=True)
-            for number, (name, content) in enumerate(files):
-                intake.receive(number, name, content)
-            intake.sort(intake.loose, LOOSE)
-            if not intake.out.sources:
-                shutil.rmtree(batch)
-            elif not any(intake.loose.iterdir()):
-                intake.loose.rmdir()
-    except BaseException:
-        shutil.rmtree(batch, ignore_errors=True)
-        raise
-    return intake.out
 
 
 class _Intake:
@@ -252,29 +264,29 @@ class _Intake:
         self._members_left = limits.members
 
     def receive(self, number: int, name: str, content: BinaryIO | Path) -> None:
-        """Store one file; a zip is unpacked immediately."""
-        title, arrived = clean_name(name), self.out.folder / f"arrived-{number:04d}"
+        """Store one file; a zip is unpacked at once."""
+        title = clean_name(name)
         try:
             if isinstance(content, Path) and not content.is_file():
                 raise UploadError("is not a readable file", source=title, remedy="check the path")
             with content.open("rb") if isinstance(content, Path) else nullcontext(content) as file:
-                for size in self._copied(file, arrived, title):
-                    self._bytes_left -= size
-                    if self._bytes_left < 0:
-                        raise _too_large(title, self.limits.total_bytes)
-            if _is_zip(arrived, title):
-                self._unpack(arrived, self.out.folder / f"{number:04d}", title)
-                return
-            if not arrived.stat().st_size:
-                raise UploadError("the file is empty", source=title, remedy="copy it again")
-            with wrap_os_errors("cannot be kept", title, "rename it", UploadError):
-                arrived.rename(self._loose_path(name))
+                self._require_size(title, file.seek(0, os.SEEK_END))
+                self._bytes_left -= file.tell()
+                if self._bytes_left < 0:
+                    raise _too_large(title, self.limits.total_bytes)
+                file.seek(0)
+                is_zip = file.read(4) in _ZIP and not title.lower().endswith(".npz")
+                if is_zip:
+                    self._unpack(file, self.out.folder / f"{number:04d}", title)
+                elif not file.seek(0, os.SEEK_END):
+                    raise UploadError("the file is empty", source=title, remedy="copy it again")
+                else:
+                    file.seek(0)
+                    _store(file, self._loose_path(name), title)
         except DiskFullError:  # no fault of the file: the others cannot be kept, either
             raise
         except CucumberVisionError as error:
             self.out.refused.append(error)
-        finally:
-            arrived.unlink(missing_ok=True)
 
     def sort(self, path: Path, title: str) -> None:
         """Find the captures of a folder, and report the files that belong to none."""
@@ -306,41 +318,35 @@ class _Intake:
         path.parent.mkdir(parents=True, exist_ok=True)
         return path
 
-    def _copied(self, content: IO[bytes], target: Path, title: str) -> Iterator[int]:
-        """Write a file in pieces, and yield their sizes; those that are stated may be false."""
+    def _require_size(self, title: str, size: int) -> None:
         is_text = PurePosixPath(title).suffix.lower() in _TEXTS
         most_bytes = self.limits.text_bytes if is_text else self.limits.file_bytes
-        remedy = "make room on the disk, or shorten the name"
-        with wrap_os_errors("cannot be kept", title, remedy, UploadError):
-            target.parent.mkdir(parents=True, exist_ok=True)
-            stream = target.open("xb")
-        with stream:
-            while chunk := content.read(_CHUNK):
-                yield len(chunk)
-                with wrap_os_errors("cannot be kept", title, remedy, UploadError):
-                    stream.write(chunk)
-                if stream.tell() > most_bytes:
-                    raise _too_large(title, most_bytes)
+        if size > most_bytes:
+            raise _too_large(title, most_bytes)
 
-    def _unpack(self, path: Path, folder: Path, title: str) -> None:
+    def _unpack(self, file: BinaryIO, folder: Path, title: str) -> None:
         """Unpack a zip; an incomplete zip is rejected completely."""
+        bounded: Any = _Bounded(file, max(self.limits.members * _ENTRY_BYTES, 2 << 20))
         try:
-            folder.mkdir(parents=True)
             with (
                 wrap_reader_errors(title, UploadError, "pack or copy it again"),
-                _Bounded(path, max(self.limits.members * _ENTRY_BYTES, 2 * _CHUNK)) as stream,
-                zipfile.ZipFile(stream) as archive,
+                zipfile.ZipFile(bounded) as archive,
             ):
                 for member, name in self._members(archive, title):
-                    if name.suffix.lower() in _TEXTS and member.file_size > self.limits.text_bytes:
-                        long_text = _too_large(f"{title}: {name}", self.limits.text_bytes)
-                        self.out.refused.append(long_text)
+                    member_title = f"{title}: {name}"
+                    try:
+                        self._require_size(member_title, member.file_size)
+                    except UploadError as error:
+                        if name.suffix.lower() not in _TEXTS:
+                            raise error.at(title) from None
+                        self.out.refused.append(error)
                         continue
+                    # Unpacking gives no more bytes than the directory states.
+                    self._unpacked_left -= member.file_size
+                    if self._unpacked_left < 0:
+                        raise _too_large(title, self.limits.unpacked_bytes)
                     with archive.open(member) as packed:
-                        for size in self._copied(packed, folder / name, f"{title}: {name}"):
-                            self._unpacked_left -= size
-                            if self._unpacked_left < 0:
-                                raise _too_large(title, self.limits.unpacked_bytes)
+                        _store(packed, folder / name, member_title)
             self.sort(folder, title)
         except BaseException:
             shutil.rmtree(folder, ignore_errors=True)
@@ -373,18 +379,27 @@ def _too_large(title: str, most_bytes: int) -> UploadError:
     return UploadError(fault, source=title, remedy=_SMALLER, size=size)
 
 
-class _Bounded(io.FileIO):
-    """A zip that is read in limited pieces, since zipfile reads the whole directory at once."""
+def _store(content: IO[bytes], target: Path, title: str) -> None:
+    remedy = "make room on the disk, or shorten the name"
+    with wrap_os_errors("cannot be kept", title, remedy, UploadError):
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with target.open("xb") as stream:
+            shutil.copyfileobj(content, stream)
 
-    def __init__(self, path: Path, most_bytes: int) -> None:
-        super().__init__(path)
-        self._size, self._most_bytes = path.stat().st_size, most_bytes
 
-    def read(self, size: int | None = -1) -> bytes:
-        wanted = self._size if size is None or size < 0 else size
-        if min(wanted, self._size - self.tell()) > self._most_bytes:
+class _Bounded:
+    """A file that is read in limited pieces, since zipfile reads the whole directory at once."""
+
+    def __init__(self, file: BinaryIO, most_bytes: int) -> None:
+        self._file, self._most_bytes = file, most_bytes
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._file, name)
+
+    def read(self, size: int = -1) -> bytes:
+        if size > self._most_bytes:
             raise zipfile.BadZipFile
-        return super().read(size) or b""
+        return self._file.read(size)
 
 
 def _member_path(name: str, archive: str) -> PurePosixPath:
@@ -405,13 +420,6 @@ def _member_path(name: str, archive: str) -> PurePosixPath:
         fault = "a member's name leads out of the zip ({name!r})"
         raise UploadError(fault, source=archive, remedy=_PACK_AGAIN, name=clean_name(name))
     return PurePosixPath(*(clean_name(part) for part in parts if part not in ("", ".")))
-
-
-def _is_zip(path: Path, name: str) -> bool:
-    """Return whether a file is a zip by its first bytes, and not an `.npz` by its name."""
-    with path.open("rb") as stream:
-        head = stream.read(4)
-    return head in (b"PK\x03\x04", b"PK\x05\x06") and not name.lower().endswith(".npz")
 
 
 def _left_alone(file_title: str, suffix: str) -> CaptureError:

@@ -317,8 +317,8 @@ def serve(
     measurer = Measurer(options)
     measurer.warm_up()
     service = create_app(measurer, ServiceSettings(token, request_limits(most_mb), waiting))
-    typer.echo(f"http://{address}:{port} (Ctrl-C ends)", err=True)
-    listen(service, address, port)
+    words = f"http://{address}:{port} (Ctrl-C ends)"
+    listen(service, address, port, ready=lambda: typer.echo(words, err=True))
 
 
 class Kind(StrEnum):

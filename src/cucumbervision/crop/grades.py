@@ -196,13 +196,14 @@ class GradingTraits:
         """
         kinds: dict[str, Any] = {str(kind): kind for kind in (*LengthKind, *LengthDefinition)}
         kind, interval_of = (kinds.get(str(row.get(x))) for x in ("length_kind", "interval_of"))
-        value_m, *ends_m = (
-            _number(row, f"{name}_cm", 100) for name in ("length", "interval_low", "interval_high")
+        value_m, low_m, high_m, thread_m, centreline_m, chord_m = (
+            _number(row, f"{name}_cm", 100)
+            for name in ("length", "interval_low", "interval_high", "thread", "centreline", "chord")
         )
-        length = None if value_m is None or kind is None else Length(value_m, kind, *ends_m)
+        is_measured = value_m is not None and kind is not None
+        length = Length(value_m or 0.0, kind, low_m, high_m, interval_of) if is_measured else None
         return cls(
-            *(_number(row, f"{name}_cm", 100) for name in ("thread", "centreline", "chord")),
-            length=length and replace(length, interval_of=interval_of),
+            *(thread_m, centreline_m, chord_m, length),
             inner_arc_mm_per_10cm=_number(row, "inner_arc_mm_per_10cm"),
             diameter_max_m=_number(row, "diameter_max_mm", 1000),
             volume_m3=_number(row, "volume_ml", 1e6),
@@ -421,7 +422,7 @@ def _rules(
     parts |= {"low": edges_cm[k], "high": edges_cm[k + 1]}
     rule = "class {name}: {kind} length {length:.1f} cm is in [{low:g}, {high:g})"
     if class_of(possible) == UNDECIDED:
-        low_cm, high_cm = parts["low"], parts["high"] = (100 * end for end in range_m)
+        low_cm, high_cm = parts["low"], parts["high"] = 100 * range_m[0], 100 * range_m[1]
         rule = "undecided: {kind} length {low:.1f} to {high:.1f} cm: {classes}"
         if math.isinf(high_cm):
             rule = "undecided: {kind} length the length is uncertain"

@@ -2,37 +2,77 @@
 
 from __future__ import annotations
 
+import ast
 import logging
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
+from pydantic import BeforeValidator, Field, PositiveInt
 
-from cucumbervision.errors import ModelError
+from cucumbervision.errors import ModelError, as_errors_of
+from cucumbervision.files import parse_model
 from cucumbervision.fruit.instance import TRUSTED_SHARE, UNKNOWN_ORDER, Instance
-from cucumbervision.fruit.masks import box_ious
-from cucumbervision.networks.confidence import DEFAULT_CONFIDENCE, LARGEST_INPUT_PX, detector_floor
-from cucumbervision.networks.resize import Letterbox, fit
-from cucumbervision.networks.runtime import Network, open_network
-from cucumbervision.networks.yolo_layout import (
-    RowKind,
-    choose_raw,
-    choose_rows,
-    raw_of,
-    read_layout,
+from cucumbervision.fruit.masks import box_ious, suppress
+from cucumbervision.networks.confidence import (
+    DEFAULT_CONFIDENCE,
+    LARGEST_INPUT_PX,
+    detector_floor,
+    parse_input_sizes,
 )
+from cucumbervision.networks.resize import fit
+from cucumbervision.networks.runtime import Network, TensorInfo, open_network
 from cucumbervision.threads import OneThread
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
 
 
-_KEYPOINTS = 5
+ONE_TO_ONE_KEY = "one2one"
+"""Metadata key of our exports: 'True' if the raw output is from the one-to-one head."""
 
+ORDER_KEY = "keypoint_order"
+"""Metadata key of our pose exports; without it points run from blossom to stem."""
+
+SIZES_KEY = "input_sizes"
+"""Metadata key of our exports: default input sizes (long sides)."""
+
+BY_PLACE = "place"
+"""Its value if points run from a fruit's lower left to its upper right end."""
+
+_KEYPOINTS = 5
+_REMEDY = "name an ONNX export of a YOLO detect, segment or pose network"
 _log = logging.getLogger("cucumbervision")
+
+
+def _literal(text: str) -> Any:
+    """Return a value that Ultralytics wrote with `str()`."""
+    try:
+        return ast.literal_eval(text)
+    except (ValueError, SyntaxError):
+        return text
+
+
+def _by_number(names: Any) -> Any:
+    return dict(enumerate(names)) if isinstance(names, list | tuple) else names
+
+
+@dataclass(frozen=True)
+class _Metadata:
+    """What Ultralytics' exports say of themselves."""
+
+    names: Annotated[dict[int, str], BeforeValidator(_by_number)] = field(default_factory=dict)
+    imgsz: tuple[PositiveInt, PositiveInt] = (640, 640)
+    stride: Annotated[int, Field(ge=1, le=1024)] = 32
+    kpt_shape: tuple[PositiveInt, PositiveInt] = (0, 0)
+    end2end: bool = False
+    args: dict[str, Any] = field(default_factory=dict)
+    task: Literal["", "detect", "segment", "pose"] = ""
 
 
 class YoloDetector:
@@ -55,6 +95,21 @@ class YoloDetector:
         Input sizes (long sides, pixels), multiples of the stride; detections at several are merged
         (`merge_sizes`). Empty for the file's default.
 
+    Attributes
+    ----------
+    names : mapping of int to str
+        The class names, by the class's number; empty where the file has none.
+    task : str
+        'detect', 'segment' or 'pose'.
+    confidence : float
+        Threshold for a detection, 0 to 1.
+    looks : int
+        Number of input sizes.
+    by_place : bool
+        Whether its keypoints are ordered by position, not from end to end.
+    runtime : str
+        The runtime, as `Network.runtime`.
+
     Raises
     ------
     ModelError
@@ -71,54 +126,74 @@ class YoloDetector:
         most_fruit: int | None = None,
         input_sizes: tuple[int, ...] = (),
     ) -> None:
-        self._network = (
-            path
-            if isinstance(path, Network)
-            else open_network(path, runtime, full_precision=full_precision)
-        )
-        self._most_fruit = most_fruit
-        self._layout = read_layout(self._network)
-        self._confidence = confidence
-        sides_px = input_sizes or self._layout.sizes_px
-        self._sizes_px = tuple((side, side) for side in sides_px) or (self._layout.size_px,)
+        if not isinstance(path, Network):
+            path = open_network(path, runtime, full_precision=full_precision)
+        network = path
+        self._network, self.runtime = network, network.runtime
+        self.confidence, self._most_fruit = confidence, most_fruit
+        self._fixed_px = self._input_size(network.inputs)
+        rows = [output for output in network.outputs if len(output.shape) == 3]
+        prototypes = [output for output in network.outputs if len(output.shape) == 4]
+        self._metadata = metadata = self._read_metadata(network.metadata)
+        self.task = metadata.task or ("segment" if prototypes else "detect")
+        if len(rows) != 1 or len(prototypes) != (self.task == "segment"):
+            raise self._refused(f"its outputs are {_shapes(network.outputs)}")
+        self._rows, self._prototypes = rows[0].name, prototypes[0].name if prototypes else ""
+        self._kpt_shape = metadata.kpt_shape if self.task == "pose" else (0, 0)
+        self._extra = int(np.prod(self._kpt_shape))
+        if prototypes:
+            self._extra = int(prototypes[0].shape[1] or 32)
+        self.names: Mapping[int, str] = metadata.names
+        self.by_place = network.metadata.get(ORDER_KEY) == BY_PLACE
+        with as_errors_of(network.source):
+            sides_px = input_sizes or parse_input_sizes(network.metadata.get(SIZES_KEY, ""))
+        own_px = self._fixed_px or metadata.imgsz
+        self._sizes_px = tuple((side, side) for side in sides_px) or (own_px,)
+        self.looks = len(self._sizes_px)
         self._check_sizes()
-        if self.task == "pose" and self._layout.keypoints[0] != _KEYPOINTS:
-            _log.warning(
-                "%s: it gives %d keypoints, a fruit has %d; only its boxes are used",
-                self._layout.source,
-                self._layout.keypoints[0],
-                _KEYPOINTS,
-            )
+        _, channels, last = rows[0].shape
+        if channels is not None and last is not None:
+            self._kind_of((channels, last), own_px)
+        if self.task == "pose" and self._kpt_shape[0] != _KEYPOINTS:
+            words = "%s: it gives %d keypoints, a fruit has %d; only its boxes are used"
+            _log.warning(words, network.source, self._kpt_shape[0], _KEYPOINTS)
 
-    @property
-    def names(self) -> Mapping[int, str]:
-        """The class names, by the class's number."""
-        return self._layout.names
+    def _refused(self, fault: str, remedy: str = _REMEDY) -> ModelError:
+        return ModelError(fault, source=self._network.source, remedy=remedy)
 
-    @property
-    def task(self) -> str:
-        """Either 'detect', 'segment' or 'pose'."""
-        return self._layout.task
+    def _input_size(self, inputs: Sequence[TensorInfo]) -> tuple[int, int] | None:
+        """Return height and width of the input; None if they are free."""
+        shape = inputs[0].shape if len(inputs) == 1 else ()
+        if len(shape) != 4 or shape[1] not in (3, None):
+            raise self._refused(f"its inputs are {_shapes(inputs)}")
+        batch, _, height, width = shape
+        if batch not in (1, None):
+            raise self._refused(f"it takes {batch} pictures at once", "export it with batch=1")
+        return None if height is None or width is None else (height, width)
 
-    @property
-    def confidence(self) -> float:
-        """Threshold for a detection, 0 to 1."""
-        return self._confidence
+    def _read_metadata(self, data: Mapping[str, str]) -> _Metadata:
+        if data.get("task", "detect") not in ("detect", "segment", "pose"):
+            raise self._refused(f"its task is {data['task']!r}")
+        values = {key: _literal(data[key]) for key in _Metadata.__annotations__ if key in data}
+        source, remedy = self._network.source, "export it again"
+        return parse_model(_Metadata, values, source=source, error=ModelError, remedy=remedy)
 
-    @property
-    def looks(self) -> int:
-        """Number of input sizes."""
-        return len(self._sizes_px)
-
-    @property
-    def by_place(self) -> bool:
-        """Whether its keypoints are ordered by position, not from end to end."""
-        return self._layout.by_place
-
-    @property
-    def runtime(self) -> str:
-        """The runtime, as `Network.runtime`."""
-        return self._network.runtime
+    def _kind_of(self, shape: tuple[int, ...], input_px: tuple[int, int]) -> tuple[RowKind, int]:
+        """Return the layout of an output's detections, and the number of classes."""
+        kind = row_kind(
+            shape,
+            classes=len(self.names),
+            extra=self._extra,
+            input_px=input_px,
+            end_to_end=self._metadata.end2end or bool(self._metadata.args.get("nms")),
+        )
+        if kind is not None:
+            return kind
+        raise self._refused(
+            f"the output {shape[0]}x{shape[1]} is no {self.task} head of {len(self.names)} classes",
+            "export it with Ultralytics, or from YOLOv5 or YOLOv7, without changes; other "
+            "detectors take part from Python, as a function that returns instances",
+        )
 
     @OneThread()
     def detect(
@@ -145,80 +220,71 @@ class YoloDetector:
         ModelError
             If the network fails, or its output has no known layout.
         """
-        confidence = self._confidence if confidence is None else confidence
-        least_confidence = detector_floor(confidence, votes=len(self._sizes_px) > 1)
+        confidence = self.confidence if confidence is None else confidence
+        least_confidence = detector_floor(confidence, votes=self.looks > 1)
         by_size = [self._detect_at(color_rgb, size, least_confidence) for size in self._sizes_px]
         merged = merge_sizes(by_size)[: self._most_fruit]
         detections = tuple(detection for detection in merged if detection.confidence > confidence)
-        if not self._layout.by_place:
+        if not self.by_place:
             return detections
         return tuple(replace(detection, end_confidence=UNKNOWN_ORDER) for detection in detections)
 
     def _check_sizes(self) -> None:
-        layout = self._layout
-        for size_px in self._sizes_px:
-            if not 0 < min(size_px) <= max(size_px) <= LARGEST_INPUT_PX:
-                raise ModelError(
-                    f"its input is {size_px[1]}x{size_px[0]} pixels",
-                    source=layout.source,
-                    remedy=f"export it for at most {LARGEST_INPUT_PX} pixels a side",
-                )
-            if not layout.free_size and size_px != layout.size_px:
-                raise ModelError(
-                    f"it takes {layout.size_px[1]}x{layout.size_px[0]} only, not {size_px[0]}",
-                    source=layout.source,
-                    remedy="leave --input-size out, or export the network with dynamic sizes",
-                )
-            if size_px[0] % layout.stride_px:
-                raise ModelError(
-                    f"its input must be a multiple of {layout.stride_px}, not {size_px[0]}",
-                    source=layout.source,
-                    remedy="choose another --input-size",
-                )
+        fixed, stride_px = self._fixed_px, self._metadata.stride
+        for height, width in self._sizes_px:
+            if not 0 < min(height, width) <= max(height, width) <= LARGEST_INPUT_PX:
+                fault, remedy = f"its input is {width}x{height} pixels", "export it for at most"
+                raise self._refused(fault, f"{remedy} {LARGEST_INPUT_PX} pixels a side")
+            if fixed is not None and (height, width) != fixed:
+                fault = f"it takes {fixed[1]}x{fixed[0]} only, not {height}"
+                remedy = "leave --input-size out, or export the network with dynamic sizes"
+                raise self._refused(fault, remedy)
+            if height % stride_px:
+                fault = f"its input must be a multiple of {stride_px}, not {height}"
+                raise self._refused(fault, "choose another --input-size")
 
     def _detect_at(
         self, color_rgb: NDArray[np.uint8], size_px: tuple[int, int], confidence: float
     ) -> tuple[Instance, ...]:
-        layout = self._layout
         height, width = color_rgb.shape[:2]
-        box = fit(height, width, size_px, minimal=layout.free_size, stride=layout.stride_px)
-        outputs = self._network.run({layout.input_name: box.as_input(color_rgb)})
-        output = outputs[layout.rows_name][0]
-        kind, classes = layout.rows_of(output.shape, (box.input_height, box.input_width))
-        rows = (
-            choose_rows(output, confidence, source=layout.source)
-            if kind is RowKind.FINAL
-            else choose_raw(
-                raw_of(output, kind, classes), classes, confidence, one_to_one=layout.one_to_one
-            )
-        )
-        prototypes = outputs[layout.prototypes_name] if layout.prototypes_name else None
-        detections = self._instances(rows[: self._most_fruit], prototypes, box)
-        return tuple(replace(detection, input_size_px=max(size_px)) for detection in detections)
-
-    def _instances(
-        self, rows: NDArray[np.float32], prototypes: NDArray[np.float32] | None, box: Letterbox
-    ) -> tuple[Instance, ...]:
+        is_free, stride_px = self._fixed_px is None, self._metadata.stride
+        box = fit(height, width, size_px, minimal=is_free, stride=stride_px)
+        outputs = self._network.run({self._network.inputs[0].name: box.as_input(color_rgb)})
+        output = outputs[self._rows][0]
+        kind, classes = self._kind_of(output.shape, (box.input_height, box.input_width))
+        if kind is RowKind.FINAL:
+            rows = choose_rows(output, confidence, source=self._network.source)
+        else:
+            is_one_to_one = self._network.metadata.get(ONE_TO_ONE_KEY) == "True"
+            raw = raw_of(output, kind, classes)
+            rows = choose_raw(raw, classes, confidence, one_to_one=is_one_to_one)
+        rows = rows[: self._most_fruit]
         instances = []
         for row, edges in zip(rows, box.boxes_back(rows[:, :4]), strict=True):
             if edges[2] <= edges[0] or edges[3] <= edges[1]:
                 continue
-            label = int(row[5])
+            mask = keypoints = None
+            if self._prototypes:
+                mask = box.mask_back(outputs[self._prototypes][0], row[6:], edges)
+            elif self._kpt_shape[0] == _KEYPOINTS:
+                points = row[6:].reshape(self._kpt_shape)
+                seen = points[:, 2:3] if points.shape[1] > 2 else np.ones((_KEYPOINTS, 1))
+                keypoints = np.column_stack([box.points_back(points[:, :2]), seen])
             instance = Instance(
-                box=edges, confidence=float(row[4]), class_name=self.names.get(label, str(label))
+                edges,
+                float(row[4]),
+                self.names.get(int(row[5]), str(int(row[5]))),
+                detector_mask=mask if mask is not None and mask.any() else None,
+                keypoints=keypoints,
+                input_size_px=max(size_px),
             )
-            if prototypes is not None:
-                mask = box.mask_back(prototypes[0], row[6:], edges)
-                instance = replace(instance, detector_mask=mask if mask.any() else None)
-            elif self._layout.keypoints[0] == _KEYPOINTS:
-                instance = replace(instance, keypoints=self._keypoints(row[6:], box))
             instances.append(instance)
         return tuple(instances)
 
-    def _keypoints(self, values: NDArray[np.float32], box: Letterbox) -> NDArray[np.float64]:
-        points = values.reshape(self._layout.keypoints)
-        visibility = points[:, 2:3] if points.shape[1] > 2 else np.ones((_KEYPOINTS, 1))
-        return np.column_stack([box.points_back(points[:, :2]), visibility])
+
+def _shapes(tensors: Sequence[TensorInfo]) -> str:
+    shapes = ("x".join("?" if n is None else str(n) for n in info.shape) for info in tensors)
+    return ", ".join(f"{info.name} {shape}" for info, shape in zip(tensors, shapes, strict=True))
 
 
 SAME_IOU = 0.5
@@ -279,3 +345,186 @@ def _mean_find(finds: Mapping[int, Instance], sizes: int) -> Instance:
     least_confidence = TRUSTED_SHARE * max(confidences)
     sure = [size for size, find in finds.items() if find.confidence >= least_confidence]
     return replace(finds[min(sure)], box=box, confidence=sum(confidences) / sizes)
+
+
+_STRIDES_PX = (8, 16, 32)
+_ANCHORS_A_CELL = 3
+
+
+class RowKind(StrEnum):
+    """Layout of an output's detections.
+
+    `FINAL`: (N, 6 + extra), x1, y1, x2, y2, score, class, extras; `RAW`: (4 + classes + extra, N),
+    centre, size, scores, extras; `RAW_ROWS`: the same transposed; `OBJECT_ROWS`: YOLOv5's and
+    YOLOv7's (N, 5 + classes + extra), centre, size, objectness, scores, extras.
+    """
+
+    FINAL = "final"
+    RAW = "raw"
+    RAW_ROWS = "raw-rows"
+    OBJECT_ROWS = "object-rows"
+
+
+def row_kind(
+    shape: tuple[int, ...], *, classes: int, extra: int, input_px: tuple[int, int], end_to_end: bool
+) -> tuple[RowKind, int] | None:
+    """Return the layout of an output and its number of classes; None for an unknown layout.
+
+    The number of rows distinguishes layouts with equal columns: a raw output has one row for each
+    cell of the three grids, YOLOv5 has three, and final rows are at most 1,000.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Shape of the detections without the batch.
+    classes : int
+        Number of class names in the file; 0 if it has none.
+    extra : int
+        Numbers per detection beside box and classes.
+    input_px : tuple of int
+        Height and width of the input.
+    end_to_end : bool
+        Whether the rows are final according to the file.
+
+    Examples
+    --------
+    >>> size = {"extra": 0, "input_px": (640, 640), "end_to_end": False}
+    >>> row_kind((25200, 6), classes=1, **size)
+    (<RowKind.OBJECT_ROWS: 'object-rows'>, 1)
+    >>> row_kind((300, 6), classes=1, **size)
+    (<RowKind.FINAL: 'final'>, 1)
+    >>> row_kind((5, 8400), classes=1, **size)
+    (<RowKind.RAW: 'raw'>, 1)
+    """
+    first, last = shape
+    cells = sum((input_px[0] // stride) * (input_px[1] // stride) for stride in _STRIDES_PX)
+    if last == 6 + extra and end_to_end:
+        return RowKind.FINAL, classes
+    for count, kind, class_count in (
+        (last, RowKind.RAW, first - 4 - extra),
+        (first, RowKind.RAW_ROWS, last - 4 - extra),
+        (first, RowKind.OBJECT_ROWS, last - 5 - extra),
+    ):
+        expected = cells * (_ANCHORS_A_CELL if kind is RowKind.OBJECT_ROWS else 1)
+        if count == expected and class_count > 0 and class_count == (classes or class_count):
+            return kind, class_count
+    if last == 6 + extra and first not in (cells, _ANCHORS_A_CELL * cells):
+        return RowKind.FINAL, classes
+    raw_classes = classes or first - 4 - extra  # of grids with other strides
+    if raw_classes > 0 and first == 4 + raw_classes + extra and (classes or first < last):
+        return RowKind.RAW, raw_classes
+    return None
+
+
+def raw_of(output: NDArray[np.floating], kind: RowKind, classes: int) -> NDArray[np.floating]:
+    """Convert an output that is not final to `RowKind.RAW`; objectness is multiplied into scores.
+
+    Examples
+    --------
+    >>> raw_of(np.array([[5.0, 5, 4, 4, 0.5, 0.5]]), RowKind.OBJECT_ROWS, 1).ravel().tolist()
+    [5.0, 5.0, 4.0, 4.0, 0.25]
+    """
+    if kind is RowKind.RAW:
+        return output
+    if kind is RowKind.RAW_ROWS:
+        return output.T
+    boxes, objectness, scores, extras = np.split(output, [4, 5, 5 + classes], axis=1)
+    return np.concatenate([boxes, objectness * scores, extras], axis=1).T
+
+
+_MAX_DETECTIONS = 300
+
+_NMS_IOU = 0.7
+
+
+def choose_rows(
+    output: NDArray[np.floating], confidence: float, *, source: str = ""
+) -> NDArray[np.float32]:
+    """Take the rows of an end-to-end output whose score exceeds the confidence.
+
+    Parameters
+    ----------
+    output : ndarray, shape (rows, 6 + extra)
+        x1, y1, x2, y2, score, class, extras.
+    confidence : float
+        0 to 1.
+    source : str
+        The file, for errors.
+
+    Returns
+    -------
+    ndarray of float32, shape (N, 6 + extra)
+
+    Raises
+    ------
+    ModelError
+        If the rows are of another kind: a class that is no whole number, a score beyond 1, or
+        boxes of which most have no area.
+
+    Examples
+    --------
+    >>> choose_rows(np.array([[0, 0, 4, 4, 0.9, 0], [0, 0, 4, 4, 0.3, 0]]), 0.3).shape
+    (1, 6)
+    """
+    rows = np.asarray(output[output[:, 4] > confidence], np.float32)
+    labels, empty = output[:, 5], (rows[:, 2:4] <= rows[:, :2]).any(axis=1)
+    is_label = (labels >= 0) & (labels % 1 == 0)
+    if not is_label.all() or (rows[:, 4] > 1).any() or 2 * empty.sum() > len(rows):
+        raise ModelError(
+            "its rows are not x1, y1, x2, y2, score, class",
+            source=source,
+            remedy="name an ONNX export of a YOLO detect, segment or pose network",
+        )
+    return rows
+
+
+def choose_raw(
+    output: NDArray[np.floating], classes: int, confidence: float, *, one_to_one: bool
+) -> NDArray[np.float32]:
+    """Select the detections of a raw output.
+
+    Parameters
+    ----------
+    output : ndarray, shape (4 + classes + extra, N)
+        Centre x, centre y, width, height, scores, extras.
+    classes : int
+        Number of classes.
+    confidence : float
+        0 to 1; a score must exceed it.
+    one_to_one : bool
+        True keeps the best 300 (`Detect.get_topk_index`); False suppresses overlaps within a class
+        (`non_max_suppression`, IoU 0.7).
+
+    Returns
+    -------
+    ndarray of float32, shape (M, 6 + extra)
+        x1, y1, x2, y2, score, class, extras; best first.
+
+    Examples
+    --------
+    >>> raw = np.array([[5.0, 5.1], [5, 5], [4, 4], [2, 2], [0.75, 0.5]])
+    >>> choose_raw(raw, 1, 0.3, one_to_one=False).tolist()
+    [[3.0, 4.0, 7.0, 6.0, 0.75, 0.0]]
+    >>> len(choose_raw(raw, 1, 0.3, one_to_one=True))
+    2
+    """
+    anchors = np.asarray(output[:, output[4 : 4 + classes].max(axis=0) > confidence].T, np.float32)
+    boxes, scores, extras = np.split(anchors, [4, 4 + classes], axis=1)
+    half = boxes[:, 2:] / 2
+    boxes = np.concatenate([boxes[:, :2] - half, boxes[:, :2] + half], axis=1)
+    if one_to_one:
+        best = _descending(scores.max(axis=1))[:_MAX_DETECTIONS]
+        # As in Ultralytics, one anchor may give detections of several classes.
+        flat = _descending(scores[best].ravel())[:_MAX_DETECTIONS]
+        index, labels = best[flat // classes], flat % classes
+    else:
+        labels = scores.argmax(axis=1)
+        index = suppress(boxes, scores.max(axis=1), labels, _NMS_IOU)[:_MAX_DETECTIONS]
+        labels = labels[index]
+    score = scores[index, labels]
+    rows = np.column_stack([boxes[index], score, labels, extras[index]]).astype(np.float32)
+    return rows[score > confidence]
+
+
+def _descending(values: NDArray[np.float32]) -> NDArray[np.intp]:
+    return np.argsort(-values, kind="stable")

@@ -306,6 +306,8 @@ class Measurer:
         shape = _WARM_UP_PX[::-1]
         color = np.full((*shape, 3), 90, np.uint8)
         finder.find(Capture(color, np.zeros(shape, np.float32), lens, "warm-up"))
+        if look_at_ends := finder.networks.look_at_ends:
+            look_at_ends([])
 
     def measure(self, capture: Capture) -> CaptureResult:
         """Find and measure the fruit of one capture.

@@ -32,7 +32,7 @@ from starlette.exceptions import HTTPException
 from cucumbervision._version import __version__
 from cucumbervision.about import software
 from cucumbervision.capture.source import CaptureRef
-from cucumbervision.capture.uploads import Limits, accept_uploads, clean_name
+from cucumbervision.capture.uploads import Limits, accept_uploads, clean_name, require_few
 from cucumbervision.errors import (
     AccessError,
     CucumberVisionError,
@@ -40,7 +40,6 @@ from cucumbervision.errors import (
     InternalError,
     ModelError,
     OutOfMemoryError,
-    UploadError,
     named_error,
 )
 from cucumbervision.methods.result import FruitPose
@@ -53,6 +52,7 @@ from cucumbervision.service.requests import RequestError, bounded, check_source
 
 if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
+    from cucumbervision.run.measurer import CaptureResult
 
 T = TypeVar("T")
 ReplyT = TypeVar("ReplyT", "MeasureReply", "DetectReply")
@@ -63,7 +63,7 @@ Files = Annotated[
 FruitRow: Any = row_model("FruitRow", FIELDS, pose=(FruitPose | None, None))
 """One fruit: the columns of the tables, in their units, and its pose."""
 
-_PATHS = ("/measure", "/detect", "/health", "/metrics", "/openapi.json")
+_PATHS = ("/", "/measure", "/detect", "/health", "/metrics", "/openapi.json")
 _TIMES_S = (0.05, 0.1, 0.25, 0.5, 1, 2.5, 5, 10, 30, 60, 300)
 _BODY_SLACK = 1_000_000  # part headers of a body with many files
 
@@ -75,6 +75,12 @@ class NotRead(BaseModel):
     error: str = Field(description="Stable name, a class of cucumbervision.errors.")
     message: str
 
+    @classmethod
+    def of(cls, failure: Failure) -> NotRead:
+        """Return the entry of a failure."""
+        name = failure.capture or failure.input
+        return cls(name=name, error=failure.error, message=failure.message)
+
 
 class MeasuredCapture(BaseModel):
     """One capture and its fruit."""
@@ -84,6 +90,16 @@ class MeasuredCapture(BaseModel):
     height: int
     simulated: bool
     fruit: list[FruitRow]
+
+    @classmethod
+    def of(cls, result: CaptureResult) -> MeasuredCapture:
+        """Return the entry of a result."""
+        pairs = zip(result.rows(), result.fruit, strict=True)
+        names = ("name", "width", "height", "simulated")
+        return cls(
+            **{name: getattr(result.capture, name) for name in names},
+            fruit=[FruitRow(**row, pose=fruit.pose) for row, fruit in pairs],
+        )
 
 
 class MeasureReply(BaseModel):
@@ -208,14 +224,6 @@ class Work:
             self.measurer.load()
             yield Path(folder)
 
-    def _outcomes(
-        self, listed: Iterable[Item], worker: Worker[T], has_left: Callable[[], bool]
-    ) -> tuple[list[T], list[NotRead]]:
-        outcomes = [outcome for _, outcome in measure_all(listed, worker, is_cancelled=has_left)]
-        failures = [failure for outcome in outcomes for failure in outcome.failures]
-        values = [outcome.value for outcome in outcomes if outcome.value is not None]
-        return values, _not_read(failures)
-
     def measure(
         self, files: Sequence[tuple[str, BinaryIO]], has_left: Callable[[], bool] = never
     ) -> MeasureReply:
@@ -233,25 +241,11 @@ class Work:
                 list_source(upload.title, partial(upload.open, options.reading))
                 for upload in uploads.sources
             )
-            results, failures = self._outcomes(listed, ResultWorker(self.measurer), has_left)
-        captures = [
-            MeasuredCapture(
-                name=result.capture.name,
-                width=result.capture.width,
-                height=result.capture.height,
-                simulated=result.capture.simulated,
-                fruit=[
-                    FruitRow(**row, pose=fruit.pose)
-                    for row, fruit in zip(result.rows(), result.fruit, strict=True)
-                ],
-            )
-            for result in results
-            if result.error is None
-        ]
+            results, failures = _outcomes(listed, ResultWorker(self.measurer), has_left)
         refused = [Failure.of(error, error.source) for error in uploads.refused]
         return MeasureReply(
-            captures=captures,
-            failures=[*_not_read(refused), *failures],
+            captures=[MeasuredCapture.of(result) for result in results if result.error is None],
+            failures=[NotRead.of(failure) for failure in (*refused, *failures)],
             ignored=uploads.ignored,
             config_sha256=options.sha256,
         )
@@ -266,29 +260,27 @@ class Work:
         CucumberVisionError
             As `measure`.
         """
-        if len(files) > self.settings.limits.files:
-            raise UploadError(
-                "{files} files were sent, at most {limit} are taken at once",
-                remedy="send them in smaller parts",
-                files=len(files),
-                limit=self.settings.limits.files,
-            )
+        require_few(files, self.settings.limits)
         with self.turn(has_left) as folder:
-            listed = [
-                Listed(
-                    name, CaptureRef(name, 0, partial(_read, folder / f"{k:04d}", name, s)), name
-                )
-                for k, (name, s) in enumerate((clean_name(name), s) for name, s in files)
+            named = [(clean_name(name), stream) for name, stream in files]
+            refs = [
+                CaptureRef(name, 0, partial(_read, folder / f"{k:04d}", name, stream))
+                for k, (name, stream) in enumerate(named)
             ]
-            seen, failures = self._outcomes(listed, PictureWorker(self.measurer), has_left)
+            listed = [Listed(ref.name, ref, ref.name) for ref in refs]
+            seen, failures = _outcomes(listed, PictureWorker(self.measurer), has_left)
         pictures = [
             SeenPicture(name=x.name, width=x.width, height=x.height, fruit=x.entries) for x in seen
         ]
-        return DetectReply(pictures=pictures, failures=failures)
+        return DetectReply(pictures=pictures, failures=[NotRead.of(x) for x in failures])
 
 
-def _not_read(failures: Sequence[Failure]) -> list[NotRead]:
-    return [NotRead(name=f.capture or f.input, error=f.error, message=f.message) for f in failures]
+def _outcomes(
+    listed: Iterable[Item], worker: Worker[T], has_left: Callable[[], bool]
+) -> tuple[list[T], list[Failure]]:
+    outcomes = [outcome for _, outcome in measure_all(listed, worker, is_cancelled=has_left)]
+    failures = [failure for outcome in outcomes for failure in outcome.failures]
+    return [outcome.value for outcome in outcomes if outcome.value is not None], failures
 
 
 def _read(path: Path, name: str, stream: BinaryIO) -> Capture:
@@ -307,14 +299,13 @@ class _Metrics:
 
     def __init__(self) -> None:
         self.registry = CollectorRegistry()
-        of: dict[str, Any] = {"registry": self.registry}
-        name, path = "cucumbervision_{}".format, "path"
+        of: dict[str, Any] = {"namespace": "cucumbervision", "registry": self.registry}
         says = "Requests by path and status"
-        self.requests = Counter(name("requests"), says, (path, "status"), **of)
+        self.requests = Counter("requests", says, ("path", "status"), **of)
         says = "Captures, pictures, fruit and failures of answers"
-        self.results = Counter(name("found"), says, ("what",), **of)
+        self.results = Counter("found", says, ("what",), **of)
         says = "Time of admitted requests, waiting included"
-        self.seconds = Histogram(name("request_seconds"), says, (path,), buckets=_TIMES_S, **of)
+        self.seconds = Histogram("request_seconds", says, ("path",), buckets=_TIMES_S, **of)
 
     def count(self, path: str, status: int, taken_s: float) -> None:
         """Count a request, and record the time of an admitted one."""
@@ -326,9 +317,13 @@ class _Metrics:
     def counted(self, what: str, reply: ReplyT) -> ReplyT:
         """Count what an answer holds, and return it."""
         parts = getattr(reply, what)
-        self.results.labels(what).inc(len(parts))
-        self.results.labels("fruit").inc(sum(len(part.fruit) for part in parts))
-        self.results.labels("failures").inc(len(reply.failures))
+        fruit = sum(len(part.fruit) for part in parts)
+        for name, number in (
+            (what, len(parts)),
+            ("fruit", fruit),
+            ("failures", len(reply.failures)),
+        ):
+            self.results.labels(name).inc(number)
         return reply
 
 
@@ -360,6 +355,11 @@ def create_app(
         redoc_url=None,
         telemetry={"auto_configure": False, "tracing": False, "metrics": False, "logs": False},
     )
+
+    @app.get("/")
+    def root() -> dict[str, str]:
+        """Return where the description of this interface is."""
+        return {**software(), "api": "/openapi.json", "health": "/health"}
 
     @app.post("/measure")
     def measure(request: Request, files: Files) -> MeasureReply:

@@ -6,6 +6,7 @@ import asyncio
 import logging
 import re
 import time
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any, ClassVar
 from urllib.parse import urlsplit
 
@@ -17,6 +18,8 @@ from cucumbervision.access import is_loopback
 from cucumbervision.errors import AccessError, CucumberVisionError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from starlette.datastructures import Headers
     from starlette.types import ASGIApp, Message, Receive
 
@@ -45,15 +48,15 @@ def parse_place(value: str, header: str = "Host") -> tuple[str, str, int | None]
     >>> parse_place("House:8501"), parse_place("https://[::1]", "Origin")
     (('', 'house', 8501), ('https', '::1', None))
     """
-    malformed = RequestError(f"the header {header} is malformed", remedy="name a host and its port")
+    remedy = "name a host and its port"
     try:
         parts = urlsplit(value if header == "Origin" else f"//{value}")
         port = parts.port
+        beside = parts.path or parts.query or parts.fragment or not _PLACE.fullmatch(parts.netloc)
+        if beside or port == 0 or (header == "Origin") != bool(parts.scheme):
+            raise ValueError
     except ValueError:
-        raise malformed from None
-    beside = parts.path or parts.query or parts.fragment or not _PLACE.fullmatch(parts.netloc)
-    if beside or port == 0 or (header == "Origin") != bool(parts.scheme):
-        raise malformed
+        raise RequestError(f"the header {header} is malformed", remedy=remedy) from None
     return parts.scheme, str(parts.hostname), port
 
 
@@ -226,7 +229,14 @@ class _OnceAMinute(logging.Filter):
         return self._passed_s.setdefault(text, now_s) == now_s
 
 
-def listen(app: ASGIApp, address: str, port: int, *, sockets: str = "none") -> None:
+def listen(
+    app: ASGIApp,
+    address: str,
+    port: int,
+    *,
+    sockets: str = "none",
+    ready: Callable[[], None] = lambda: None,
+) -> None:
     """Serve an application until it is interrupted, with `HeadLimit`.
 
     Parameters
@@ -239,6 +249,8 @@ def listen(app: ASGIApp, address: str, port: int, *, sockets: str = "none") -> N
         TCP port.
     sockets : str
         Uvicorn's implementation of web sockets.
+    ready : callable
+        Called once the port is bound; if it is taken, the program ends instead.
     """
     descriptors = 1024
     try:
@@ -252,7 +264,7 @@ def listen(app: ASGIApp, address: str, port: int, *, sockets: str = "none") -> N
     HeadLimit.most_connections = min(descriptors // 2, 4096)
     for name in ("uvicorn.error", "asyncio"):
         logging.getLogger(name).addFilter(_OnceAMinute())
-    uvicorn.run(
+    config = uvicorn.Config(
         app,
         host=address,
         port=port,
@@ -263,3 +275,7 @@ def listen(app: ASGIApp, address: str, port: int, *, sockets: str = "none") -> N
         server_header=False,
         timeout_graceful_shutdown=_LEAVE_S,
     )
+    bound = config.bind_socket()
+    ready()
+    with suppress(KeyboardInterrupt):
+        uvicorn.Server(config).run(sockets=[bound])

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from cucumbervision.capture.pictures import read_color
 from cucumbervision.fruit.masks import box_of_mask
-from cucumbervision.networks.yolo_layout import BY_PLACE
+from cucumbervision.networks.yolo import BY_PLACE
 from cucumbervision_lab.arrays import Array, Array32, Generator, Mask, Pixels
 from cucumbervision_lab.data.labels import KEYPOINT_ORDER, DataSet, Label, LabelledPicture
 from cucumbervision_lab.scenes.scene import reaches_border

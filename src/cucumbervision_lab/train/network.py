@@ -19,7 +19,7 @@ from cucumbervision.capture.pictures import read_color, write_jpeg
 from cucumbervision.errors import MissingExtraError, ModelError, TrainingError
 from cucumbervision.networks.keypoint_axis import keypoints_between
 from cucumbervision.networks.runtime import import_onnxruntime
-from cucumbervision.networks.yolo_layout import BY_PLACE
+from cucumbervision.networks.yolo import BY_PLACE
 from cucumbervision_lab.data.checks import check_folder, require_clean
 from cucumbervision_lab.data.coco import write_coco
 from cucumbervision_lab.data.derive import add_pseudo_masks

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from cucumbervision.capture import camera_file
+from cucumbervision.capture.readers import common
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.pictures import write_png
@@ -172,15 +172,13 @@ def test_depth_tables_are_read_as_they_are_written(tmp_path: Path, row: str) -> 
 def test_looking_for_cameras_takes_steps_in_proportion_to_the_files(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    words = Mock(side_effect=camera_file._stem_words)
-    monkeypatch.setattr(camera_file, "_stem_words", words)
+    words = Mock(side_effect=common._stem_words)
+    monkeypatch.setattr(common, "_stem_words", words)
     for number in (100, 200):
         names = [f"{kind}_{k}.png" for kind in ("color", "depth") for k in range(number)]
         cameras = [f"{k}_camera.json" for k in range(number)]
         words.reset_mock()
         folder = Folder(Path("walk"), {"": [*names, *cameras]})
-        monkeypatch.setattr(
-            camera_file, "_only", lambda _folder, files: files[0] if files else None
-        )
+        monkeypatch.setattr(common, "_only", lambda _folder, files: files[0] if files else None)
         assert len(match_pairs(folder)) == number
         assert words.call_count < 6 * number

@@ -17,7 +17,7 @@ from tests.lab.train.conftest import QUICK
 
 from cucumbervision.errors import ModelError, TrainingError
 from cucumbervision.networks.runtime import open_network
-from cucumbervision.networks.yolo_layout import ORDER_KEY, SIZES_KEY
+from cucumbervision.networks.yolo import ORDER_KEY, SIZES_KEY
 from cucumbervision_lab.train.export import export_trained
 from cucumbervision_lab.train.network import NETWORK, load_yolo, open_sets, train
 

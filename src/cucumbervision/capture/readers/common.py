@@ -1,14 +1,18 @@
-"""Shared functions of the readers: choose intrinsics, and build a capture from files."""
+"""Shared functions of the readers: find and choose intrinsics, build a capture from files."""
 
 from __future__ import annotations
 
 import re
+from contextlib import suppress
 from dataclasses import replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
+from cucumbervision.capture.camera_file import read_camera_file
 from cucumbervision.capture.depth import depth_to_metres, enlarge_depth, require_readings
 from cucumbervision.capture.frames import Capture, Doubt, depth_along_axis
 from cucumbervision.capture.intrinsics import DepthAlong, Intrinsics, Stream, check_intrinsics
+from cucumbervision.capture.pictures import COLOR_SUFFIXES
 from cucumbervision.errors import CaptureError, IntrinsicsError, wrap_reader_errors
 from cucumbervision.tube.camera import align_depth_to_color
 
@@ -20,8 +24,18 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cucumbervision.capture.camera_file import CameraFile, Extrinsics
-    from cucumbervision.capture.source import ReadOptions
+    from cucumbervision.capture.source import Folder, ReadOptions
 
+_OWN_NAME = "intrinsics.json"
+_CAMERA_NAME = re.compile(
+    r"(.*(intrinsic|camera|cam_?k|calib).*|k)\.(json|ya?ml|xml|txt)"
+    r"|(.*(intrinsics?|cam_?k|camera_?matrix)|k)\.npy",
+    re.IGNORECASE,
+)
+_CAMERA_WORD = re.compile(
+    r"intrinsics?|camera|cam|k|camk|calib(ration)?|info|colou?r|rgb|depth|aligned|to|matrix|params?"
+)
+_PICTURES = tuple(COLOR_SUFFIXES)
 _RECTIFIED, _RAW = (
     re.compile(rf"(?<![a-z]){word}(?![a-z])", re.IGNORECASE) for word in ("rect(ified)?", "raw")
 )
@@ -231,3 +245,91 @@ def _aligned(
             depth_lens=(camera.distortion, camera.coefficients),
             color_lens=(intrinsics.distortion, intrinsics.coefficients),
         )
+
+
+class CameraFinder:
+    """Finds the intrinsics file of a picture, in its folder or the nearest parent folder.
+
+    A file whose name refers to certain pictures (`cam1_intrinsics.json` beside `cam1_color_1.png`
+    and `cam2_color_1.png`) belongs only to these. Of several other files, the native name has
+    priority; the others must contain the same camera.
+
+    Parameters
+    ----------
+    folder : Folder
+        The available files.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from cucumbervision.capture.source import Folder
+    >>> walk = Folder(Path("walk"), {"": ["camera.json"], "rgb": ["1.png"]})
+    >>> CameraFinder(walk).find("rgb")
+    PosixPath('walk/camera.json')
+    """
+
+    def __init__(self, folder: Folder) -> None:
+        self._folder = folder
+        self._pictures = lru_cache(maxsize=None)(self._begins_of_pictures)
+        self._cameras = lru_cache(maxsize=None)(self._cameras_by_owner)
+        self._only = lru_cache(maxsize=None)(_only)
+
+    def find(self, folder_path: str, picture: str = "") -> Path | None:
+        """Return the file of a picture, or of a subfolder; None without one.
+
+        Raises
+        ------
+        IntrinsicsError
+            If several files could belong to the picture and differ.
+        """
+        words, others = _stem_words(picture), self._pictures(folder_path)
+        while True:
+            owners = self._cameras(folder_path)
+            length = next((k for k in range(len(words), 0, -1) if words[:k] in owners), 0)
+            shared = (name for owner in owners if owner not in others for name in owners[owner])
+            names = tuple(sorted(owners[words[:length]] if length else shared))
+            if names or not folder_path:
+                file = self._only(self._folder.path / folder_path, names)
+                if isinstance(file, IntrinsicsError):
+                    raise file
+                return file
+            folder_path = folder_path.rpartition("/")[0]
+
+    def _begins_of_pictures(self, folder_path: str) -> set[tuple[str, ...]]:
+        """Return the words with which names of pictures begin."""
+        names = self._folder.files.get(folder_path, ())
+        pictures = (_stem_words(name) for name in names if name.lower().endswith(_PICTURES))
+        return {words[:k] for words in pictures for k in range(1, len(words) + 1)}
+
+    def _cameras_by_owner(self, folder_path: str) -> dict[tuple[str, ...], list[str]]:
+        """Return the intrinsics files of a folder by the words that refer to certain pictures."""
+        owners: dict[tuple[str, ...], list[str]] = {}
+        for name in self._folder.files.get(folder_path, ()):
+            if _CAMERA_NAME.fullmatch(name):
+                owner = tuple(w for w in _stem_words(name) if not _CAMERA_WORD.fullmatch(w))
+                owners.setdefault(owner, []).append(name)
+        return owners
+
+
+def _only(folder: Path, names: tuple[str, ...]) -> Path | IntrinsicsError | None:
+    """Return the only file with a camera among these, or why none is; None without a file."""
+    if _OWN_NAME in names or len(names) < 2:
+        return folder / (_OWN_NAME if _OWN_NAME in names else names[0]) if names else None
+    cameras: dict[str, Intrinsics] = {}
+    for name in names:
+        with suppress(CaptureError):
+            camera = read_camera_file(folder / name).intrinsics
+            if camera.stream is Stream.COLOR:
+                cameras[name] = camera
+    if len(set(cameras.values())) > 1:
+        return IntrinsicsError(
+            "{names} hold different cameras, and no name tells whose is whose",
+            source=folder,
+            remedy="begin its name as the pictures' (cam1_intrinsics.json), or give --intrinsics",
+            names=", ".join(cameras),
+        )
+    return folder / next(iter(cameras), names[0])
+
+
+def _stem_words(name: str) -> tuple[str, ...]:
+    return tuple(re.findall(r"[^\W_]+", name.rpartition(".")[0].casefold()))

@@ -8,9 +8,9 @@ from functools import partial
 from typing import TYPE_CHECKING
 from unicodedata import normalize
 
-from cucumbervision.capture.camera_file import CameraFile, CameraFinder, read_camera_file
+from cucumbervision.capture.camera_file import CameraFile, read_camera_file
 from cucumbervision.capture.pictures import COLOR_SUFFIXES, DEPTH_SUFFIXES, read_color, read_depth
-from cucumbervision.capture.readers.common import frame_capture, no_intrinsics
+from cucumbervision.capture.readers.common import CameraFinder, frame_capture, no_intrinsics
 from cucumbervision.capture.source import CaptureSource
 from cucumbervision.errors import CaptureError, IntrinsicsError
 from cucumbervision.files import read_head

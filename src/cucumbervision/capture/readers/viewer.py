@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.capture.camera_file import CameraFinder, read_camera_file
+from cucumbervision.capture.camera_file import read_camera_file
 from cucumbervision.capture.intrinsics import Intrinsics, Stream
 from cucumbervision.capture.pictures import read_color
-from cucumbervision.capture.readers.common import frame_capture
+from cucumbervision.capture.readers.common import CameraFinder, frame_capture
 from cucumbervision.capture.source import fail
 from cucumbervision.errors import CaptureError, DepthError, IntrinsicsError
 from cucumbervision.files import read_bytes

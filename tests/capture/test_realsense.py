@@ -17,13 +17,7 @@ import pytest
 from cucumbervision.capture.frames import Stop
 from cucumbervision.capture.intrinsics import Stream
 from cucumbervision.capture.readers import ReadOptions, open_source
-from cucumbervision.capture.realsense import (
-    AlignedStream,
-    CameraConfig,
-    RealSenseCamera,
-    camera_fault,
-    play_file,
-)
+from cucumbervision.capture.realsense import CameraConfig, RealSenseCamera, camera_fault
 from cucumbervision.errors import CameraError, CaptureError, IntrinsicsError, MissingExtraError
 from cucumbervision.tube.camera import Distortion, align_depth_to_color
 
@@ -260,10 +254,9 @@ def test_no_camera() -> None:
 
 def test_a_live_stream_that_dries_up(recording: Path) -> None:
     # Taken for live, a recording paces itself by the clock and then sends nothing more.
-    stream = AlignedStream(
-        play_file(recording), source="camera 0042", playback=False, timeout_s=0.4
-    )
-    with stream, pytest.raises(CameraError, match=r"camera 0042: no frame .* for 0\.4 s; plug"):
+    stream = RealSenseCamera(CameraConfig(playback=recording, warm_up=0, timeout_s=0.4))
+    stream._is_recorded = False
+    with stream, pytest.raises(CameraError, match=r"no frame .* for 0\.4 s; plug"):
         _ = [stream.read() for _ in range(30)]
 
 

@@ -29,7 +29,7 @@ from cucumbervision.capture.readers.native import write_native
 from cucumbervision.crop.profiles import load_profile
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.fruit.instance import Instance, MaskSource
-from cucumbervision.fruit.instance_files import read_instances
+from cucumbervision.fruit.label_files import read_instances
 from cucumbervision.fruit.mask_codes import encode_rle
 
 WIDTH, HEIGHT = 64, 48

@@ -246,7 +246,7 @@ def read_camera_file(path: Path) -> CameraFile:
         return CameraFile(
             intrinsics=model.intrinsics,
             path=path,
-            depth=model.depth and model.depth.intrinsics,
+            depth=model.depth.intrinsics if model.depth else None,
             depth_to_color=model.depth_to_color,
             depth_unit_m=model.depth_unit_m,
             depth_along=model.depth_along,

@@ -17,7 +17,7 @@ from cucumbervision.errors import CameraError, CaptureError, MissingExtraError
 from cucumbervision.tube.camera import Distortion
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -51,28 +51,26 @@ def import_realsense() -> Any:
     return pyrealsense2
 
 
+# By a word in the SDK's text: fault and remedy.
+_FAULTS = {
+    "no device": (
+        "no RealSense camera is connected",
+        "plug a D4xx into a USB 3 port, or name a recording",
+    ),
+    "resolve": (
+        "no connected camera streams that size and rate",
+        "choose a size and rate of the camera, and check that it is at a USB 3 port",
+    ),
+    "busy": ("the camera is in use", "close the other program that uses it"),
+    "": ("the camera failed ({reason})", "plug it in again"),
+}
+
+
 def camera_fault(error: RuntimeError, source: object) -> CameraError:
     """Convert an error of the SDK."""
     text = str(error)
-    if "No device" in text:
-        return CameraError(
-            "no RealSense camera is connected",
-            source=source,
-            remedy="plug a D4xx into a USB 3 port, or name a recording",
-        )
-    if "resolve" in text:
-        return CameraError(
-            "no connected camera streams that size and rate",
-            source=source,
-            remedy="choose a size and rate of the camera, and check that it is at a USB 3 port",
-        )
-    if "busy" in text.lower():
-        return CameraError(
-            "the camera is in use", source=source, remedy="close the other program that uses it"
-        )
-    return CameraError(
-        "the camera failed ({reason})", source=source, remedy="plug it in again", reason=text
-    )
+    fault, remedy = next(value for word, value in _FAULTS.items() if word in text.lower())
+    return CameraError(fault, source=source, remedy=remedy, reason=text)
 
 
 @dataclass(frozen=True)
@@ -159,56 +157,37 @@ def apply_settings(rs: Any, device: Any, settings: CameraSettings, source: objec
     CameraError
         If the camera does not support a setting, or a value is out of range.
     """
-    color, o = "RGB Camera", rs.option
-    automatic = None if settings.exposure_us is None else float(settings.exposure_us == 0)
-    exposure = settings.exposure_us / _COLOR_STEP_US if settings.exposure_us else None
-    settings_by_sensor = (
-        ("Stereo Module", o.visual_preset, _preset(rs, settings.preset, source)),
-        (color, o.enable_auto_exposure, automatic),
-        (color, o.exposure, exposure),
-    )
+    exposure, presets = settings.exposure_us, rs.rs400_visual_preset.__members__
+    wanted: list[tuple[str, Any, float]] = []
+    if settings.preset is not None:
+        key = settings.preset.strip().lower().replace("-", "_").replace(" ", "_")
+        if key not in presets:
+            raise CameraError(
+                "no preset is called {name!r}",
+                source=source,
+                remedy="choose one of {presets}",
+                name=settings.preset,
+                presets=", ".join(sorted(presets)),
+            )
+        wanted.append(("Stereo Module", rs.option.visual_preset, float(int(presets[key]))))
+    if exposure is not None:
+        wanted.append(("RGB Camera", rs.option.enable_auto_exposure, float(exposure == 0)))
+    if exposure:
+        wanted.append(("RGB Camera", rs.option.exposure, exposure / _COLOR_STEP_US))
     sensors = {sensor.get_info(rs.camera_info.name): sensor for sensor in device.query_sensors()}
-    for sensor, option, value in settings_by_sensor:
-        if value is not None:
-            _set(sensors.get(sensor), sensor, option, value, source)
-
-
-def _preset(rs: Any, name: str | None, source: object) -> float | None:
-    if name is None:
-        return None
-    presets = rs.rs400_visual_preset.__members__
-    key = name.strip().lower().replace("-", "_").replace(" ", "_")
-    if key not in presets:
-        raise CameraError(
-            "no preset is called {name!r}",
-            source=source,
-            remedy="choose one of {presets}",
-            name=name,
-            presets=", ".join(sorted(presets)),
-        )
-    return float(int(presets[key]))
-
-
-def _set(sensor: Any, name: str, option: Any, value: float, source: object) -> None:
-    text = f"{name.lower()}'s {option.name.replace('_', ' ')}"
-    if sensor is None or not sensor.supports(option):
-        raise CameraError(
-            "the {setting} cannot be set",
-            source=source,
-            remedy="leave that setting out",
-            setting=text,
-        )
-    limits = sensor.get_option_range(option)
-    if not limits.min <= value <= limits.max:
-        raise CameraError(
-            f"the {text} cannot be {value:g}",
-            source=source,
-            remedy=f"give {limits.min:g} to {limits.max:g}, in the camera's own steps",
-        )
-    try:
-        sensor.set_option(option, value)
-    except RuntimeError as error:
-        raise camera_fault(error, source) from None
+    for name, option, value in wanted:
+        sensor = sensors.get(name)
+        text = f"the {name.lower()}'s {option.name.replace('_', ' ')} cannot be"
+        if sensor is None or not sensor.supports(option):
+            raise CameraError(f"{text} set", source=source, remedy="leave that setting out")
+        limits = sensor.get_option_range(option)
+        if not limits.min <= value <= limits.max:
+            remedy = f"give {limits.min:g} to {limits.max:g}, in the camera's own steps"
+            raise CameraError(f"{text} {value:g}", source=source, remedy=remedy)
+        try:
+            sensor.set_option(option, value)
+        except RuntimeError as error:
+            raise camera_fault(error, source) from None
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,61 +239,104 @@ def burst_capture(
     )
 
 
-class AlignedStream:
-    """A running pipeline as a context manager.
+@dataclass(frozen=True)
+class CameraConfig:
+    """Streaming options of a camera.
 
     Parameters
     ----------
-    configure : callable
-        Configures the streams, given the SDK module and its `config`.
-    source : object
-        The file or camera, for error messages.
-    playback : bool
-        True for a recording, which is then read without dropping frames.
+    serial : str, optional
+        Serial number; by default the first camera found.
+    width, height : int
+        Size of both streams, pixels.
+    fps : int
+        Frames per second.
+    burst : int
+        Number of frames per capture.
+    warm_up : int
+        Number of frames dropped at the start, while exposure settles.
     timeout_s : float
         Maximum time to wait for a frame.
+    playback : Path, optional
+        Recording to play instead of a camera; size, rate and serial number are then those of the
+        recording.
+    settings : CameraSettings
+        Exposure and presets; not for recordings.
     """
 
-    def __init__(
-        self,
-        configure: Callable[[Any, Any], None],
-        *,
-        source: object,
-        playback: bool,
-        timeout_s: float,
-    ) -> None:
-        self._configure = configure
-        self._source = source
-        self._recorded = playback
-        self._timeout_s = timeout_s
+    serial: str | None = None
+    width: int = 1280
+    height: int = 720
+    fps: int = 30
+    burst: int = 5
+    warm_up: int = 30
+    timeout_s: float = 5.0
+    playback: Path | None = None
+    settings: CameraSettings = field(default_factory=CameraSettings)
+
+    def __post_init__(self) -> None:
+        if min(self.width, self.height, self.fps, self.burst) < 1 or self.warm_up < 0:
+            raise ValueError("size, fps and burst must be positive, warm_up not negative")
+        if not self.timeout_s > 0:
+            raise ValueError("timeout_s must be positive")
+
+
+_STALE_S, _QUEUED = 0.5, 2  # pause after which the queued frames of the SDK are dropped
+
+
+class RealSenseCamera:
+    """A camera as a context manager: `with RealSenseCamera() as camera: camera.capture_burst()`.
+
+    Parameters
+    ----------
+    config : CameraConfig, optional
+        Streaming options.
+
+    Raises
+    ------
+    CameraError
+        On entering, if the camera is not available or in use.
+    CaptureError
+        On entering, if a recording cannot be played.
+    MissingExtraError
+        On entering, if pyrealsense2 is not installed.
+    """
+
+    def __init__(self, config: CameraConfig | None = None) -> None:
+        self.config = config or CameraConfig()
+        file, serial = self.config.playback, self.config.serial
+        self._is_recorded = file is not None
+        self._source = file or (f"camera {serial}" if serial else "camera")
         self._pipeline: Any = None
         self._playback: Any = None
-        self._file: Any = None
-        self._align: Any = None
-        self._device: Any = None
         self._resuming: threading.Thread | None = None
-        self._reached_s = 0.0
-        self._intrinsics: Intrinsics
+        self._taken_s = 0.0
         self.device: dict[str, str] = {}
 
     def __enter__(self) -> Self:
         self._rs = rs = import_realsense()
         config, pipeline = rs.config(), rs.pipeline()
         try:
-            self._configure(rs, config)
+            self._configure(config)
             device = config.resolve(rs.pipeline_wrapper(pipeline)).get_device()
             self._pipeline, self._reached_s = pipeline, 0.0
-            # A recording played as a camera must be stopped like a recording.
-            self._file = device.as_playback() if device.is_playback() else None
-            self._playback = self._file if self._recorded else None
-            if self._playback is not None:
+            self._playback = device.as_playback() if device.is_playback() else None
+            if self._is_recorded:
                 # The SDK starts reading with the first sensor and drops frames of the others. Pause
                 # the playback until all sensors have started.
                 self._playback.set_real_time(False)
                 self._playback.pause()
             self._read_profile(pipeline.start(config))
-            if self._playback is not None:
-                self._play()
+            if self._is_recorded:
+                # Afterwards 'stopped' means the end of the file.
+                self._playback.pause()
+                # This returns only when frames are read, so it must not block.
+                self._resuming = threading.Thread(target=self._playback.resume, daemon=True)
+                self._resuming.start()
+            else:
+                apply_settings(rs, device, self.config.settings, self._source)
+            for _ in range(self.config.warm_up):
+                self._next_frame()
         except RuntimeError as error:
             self.close()
             raise self._fault(error) from None
@@ -323,12 +345,15 @@ class AlignedStream:
             raise
         return self
 
-    def _play(self) -> None:
-        # Wait until the sensors have started; afterwards 'stopped' means the end of the file.
-        self._playback.pause()
-        # This returns only when frames are read, so it must not block.
-        self._resuming = threading.Thread(target=self._playback.resume, daemon=True)
-        self._resuming.start()
+    def _configure(self, config: Any) -> None:
+        rs, c = self._rs, self.config
+        if c.playback is not None:
+            config.enable_device_from_file(str(c.playback), repeat_playback=False)
+            return
+        if c.serial:
+            config.enable_device(c.serial)
+        config.enable_stream(rs.stream.depth, c.width, c.height, rs.format.z16, c.fps)
+        config.enable_stream(rs.stream.color, c.width, c.height, rs.format.rgb8, c.fps)
 
     def __exit__(self, *_: object) -> None:
         self.close()
@@ -340,11 +365,15 @@ class AlignedStream:
             with contextlib.suppress(RuntimeError):
                 self._pipeline.stop()
         if self._resuming is not None:
-            self._resuming.join(self._timeout_s)
-        if self._file is not None:
-            _finish_reading(self._file)
-        self._pipeline = self._playback = self._file = self._align = self._resuming = None
-        self._device = None
+            self._resuming.join(self.config.timeout_s)
+        # SDK 2.59 crashes if the playback is destroyed while its reader thread has pending work:
+        # tasks taken from the queue run on destroyed objects (`dispatcher::stop`, called by
+        # `~playback_device`). `pause` returns when all queued tasks are done; the second call
+        # includes tasks queued by earlier tasks.
+        for _ in range(2 if self._playback is not None else 0):
+            with contextlib.suppress(RuntimeError):
+                self._playback.pause()
+        self._pipeline = self._playback = self._resuming = None
 
     @property
     def intrinsics(self) -> Intrinsics:
@@ -354,9 +383,45 @@ class AlignedStream:
 
     def _require_open(self) -> None:
         if self._pipeline is None:
-            raise CameraError(
-                "the camera is not open", source=self._source, remedy="use it in a 'with' block"
-            )
+            remedy = "use it in a 'with' block"
+            raise CameraError("the camera is not open", source=self._source, remedy=remedy)
+
+    def capture_burst(self, name: str | None = None, *, stop: Stop | None = None) -> Capture:
+        """Capture a burst and fuse it.
+
+        Parameters
+        ----------
+        name : str, optional
+            Name; by default 'capture_' and the number of its first frame.
+        stop : Stop, optional
+            Position in the greenhouse.
+
+        Returns
+        -------
+        Capture
+            Capture whose `frame` is the camera's number of the first frame.
+
+        Raises
+        ------
+        CameraError
+            If the camera is not open, sends no frame in time, or the played recording has ended.
+        DepthError
+            If no pixel of the burst has a reading between 0.1 and 5 m.
+        """
+        if self.config.playback is None and time.monotonic() - self._taken_s > _STALE_S:
+            for _ in range(_QUEUED):  # queued frames were captured before this call
+                self._next_frame()
+        frames = [self._next_frame() for _ in range(self.config.burst)]
+        self._taken_s = time.monotonic()
+        return burst_capture(
+            frames,
+            self.intrinsics,
+            name or f"capture_{frames[0].number:06d}",
+            place=self._source,
+            stop=stop or Stop(),
+            source=str(self._source),
+            provenance={"reader": "camera", **self.device},
+        )
 
     def read(self) -> AlignedFrame | None:
         """Return the next frame with both pictures; None at the end of a recording.
@@ -369,10 +434,13 @@ class AlignedStream:
             If a recording is truncated.
         """
         self._require_open()
-        deadline_s = time.monotonic() + self._timeout_s
+        deadline_s = time.monotonic() + self.config.timeout_s
         while time.monotonic() < deadline_s:
             try:
-                self._note_position()
+                if self._is_recorded:
+                    # The position is reset to 0 when the last frame is in the queue.
+                    reached_s = self._playback.get_position() / 1e9
+                    self._reached_s = max(self._reached_s, reached_s)
                 arrived, frames = self._pipeline.try_wait_for_frames(_STEP_MS)
                 # The first frame sets may contain only one picture.
                 if arrived and frames.get_color_frame() and frames.get_depth_frame():
@@ -381,25 +449,28 @@ class AlignedStream:
                     return None
             except RuntimeError as error:
                 raise self._fault(error) from None
-            if arrived and self._recorded:
+            if arrived and self._is_recorded:
                 # A recording may contain a long section of only one stream, but it ends.
-                deadline_s = time.monotonic() + self._timeout_s
-        if self._recorded:
+                deadline_s = time.monotonic() + self.config.timeout_s
+        if self._is_recorded:
             raise CaptureError("the recording stalls", source=self._source, remedy="copy it again")
         raise CameraError(
             "no frame with colour and depth for {seconds:g} s",
             source=self._source,
             remedy="plug the camera in again, at a USB 3 port",
-            seconds=self._timeout_s,
+            seconds=self.config.timeout_s,
         )
 
-    def _note_position(self) -> None:
-        if self._playback is not None:
-            # The position is reset to 0 when the last frame is in the queue.
-            self._reached_s = max(self._reached_s, self._playback.get_position() / 1e9)
+    def _next_frame(self) -> AlignedFrame:
+        frame = self.read()
+        if frame is None:
+            raise CameraError(
+                "the recording is over", source=self._source, remedy="play a longer one"
+            )
+        return frame
 
     def _is_over(self) -> bool:
-        if self._playback is None:
+        if not self._is_recorded:
             return False
         if self._playback.current_status() != self._rs.playback_status.stopped:
             return False
@@ -429,7 +500,7 @@ class AlignedStream:
         self._intrinsics = Intrinsics(
             *pinhole, Stream.COLOR, self._lens_model(lens), (k1, k2, p1, p2, k3)
         )
-        self._device = device = profile.get_device()
+        device = profile.get_device()
         # The SDK uses single precision: 0.0010000000475 is 0.001.
         scale = device.first_depth_sensor().get_depth_scale()
         self._unit_m = float(f"{scale:.6g}")
@@ -494,7 +565,7 @@ class AlignedStream:
         return np.asarray(cv2.cvtColor(data, codes[name]), dtype=np.uint8)
 
     def _fault(self, error: RuntimeError) -> CaptureError | CameraError:
-        if not self._recorded:
+        if not self._is_recorded:
             return camera_fault(error, self._source)
         return CaptureError(
             "is not a recording that can be played ({reason})",
@@ -502,159 +573,3 @@ class AlignedStream:
             remedy="copy it again, or record it with RealSense Viewer",
             reason=str(error).rpartition("Reason: ")[2],
         )
-
-
-def _finish_reading(file: Any) -> None:
-    # SDK 2.59 crashes if the playback is destroyed while its reader thread has pending work: tasks
-    # taken from the queue run on destroyed objects (`dispatcher::stop`, called by
-    # `~playback_device`). `pause` returns when all queued tasks are done; the second call includes
-    # tasks queued by earlier tasks.
-    for _ in range(2):
-        with contextlib.suppress(RuntimeError):
-            file.pause()
-
-
-def play_file(path: Path) -> Callable[[Any, Any], None]:
-    """Return the configuration that plays a recording once."""
-
-    def configure(_rs: Any, config: Any) -> None:
-        config.enable_device_from_file(str(path), repeat_playback=False)
-
-    return configure
-
-
-@dataclass(frozen=True)
-class CameraConfig:
-    """Streaming options of a camera.
-
-    Parameters
-    ----------
-    serial : str, optional
-        Serial number; by default the first camera found.
-    width, height : int
-        Size of both streams, pixels.
-    fps : int
-        Frames per second.
-    burst : int
-        Number of frames per capture.
-    warm_up : int
-        Number of frames dropped at the start, while exposure settles.
-    timeout_s : float
-        Maximum time to wait for a frame.
-    playback : Path, optional
-        Recording to play instead of a camera; size, rate and serial number are then those of the
-        recording.
-    settings : CameraSettings
-        Exposure and presets; not for recordings.
-    """
-
-    serial: str | None = None
-    width: int = 1280
-    height: int = 720
-    fps: int = 30
-    burst: int = 5
-    warm_up: int = 30
-    timeout_s: float = 5.0
-    playback: Path | None = None
-    settings: CameraSettings = field(default_factory=CameraSettings)
-
-    def __post_init__(self) -> None:
-        if min(self.width, self.height, self.fps, self.burst) < 1 or self.warm_up < 0:
-            raise ValueError("size, fps and burst must be positive, warm_up not negative")
-        if not self.timeout_s > 0:
-            raise ValueError("timeout_s must be positive")
-
-
-_STALE_S, _QUEUED = 0.5, 2  # pause after which the queued frames of the SDK are dropped
-
-
-class RealSenseCamera(AlignedStream):
-    """A camera as a context manager: `with RealSenseCamera() as camera: camera.capture_burst()`.
-
-    Parameters
-    ----------
-    config : CameraConfig, optional
-        Streaming options.
-
-    Raises
-    ------
-    CameraError
-        On entering, if the camera is not available or in use.
-    MissingExtraError
-        On entering, if pyrealsense2 is not installed.
-    """
-
-    def __init__(self, config: CameraConfig | None = None) -> None:
-        self.config = config or CameraConfig()
-        self._taken_s = 0.0
-        file, serial = self.config.playback, self.config.serial
-        super().__init__(
-            self._stream_live if file is None else play_file(file),
-            source=file or (f"camera {serial}" if serial else "camera"),
-            playback=file is not None,
-            timeout_s=self.config.timeout_s,
-        )
-
-    def __enter__(self) -> Self:
-        super().__enter__()
-        try:
-            if self.config.playback is None:
-                apply_settings(self._rs, self._device, self.config.settings, self._source)
-            for _ in range(self.config.warm_up):
-                self._next_frame()
-        except BaseException:
-            self.close()
-            raise
-        return self
-
-    def capture_burst(self, name: str | None = None, *, stop: Stop | None = None) -> Capture:
-        """Capture a burst and fuse it.
-
-        Parameters
-        ----------
-        name : str, optional
-            Name; by default 'capture_' and the number of its first frame.
-        stop : Stop, optional
-            Position in the greenhouse.
-
-        Returns
-        -------
-        Capture
-            Capture whose `frame` is the camera's number of the first frame.
-
-        Raises
-        ------
-        CameraError
-            If the camera is not open, sends no frame in time, or the played recording has ended.
-        DepthError
-            If no pixel of the burst has a reading between 0.1 and 5 m.
-        """
-        if self.config.playback is None and time.monotonic() - self._taken_s > _STALE_S:
-            for _ in range(_QUEUED):  # queued frames were captured before this call
-                self._next_frame()
-        frames = [self._next_frame() for _ in range(self.config.burst)]
-        self._taken_s = time.monotonic()
-        return burst_capture(
-            frames,
-            self.intrinsics,
-            name or f"capture_{frames[0].number:06d}",
-            place=self._source,
-            stop=stop or Stop(),
-            source=str(self._source),
-            provenance={"reader": "camera", **self.device},
-        )
-
-    def _stream_live(self, rs: Any, config: Any) -> None:
-        c = self.config
-        if c.serial:
-            config.enable_device(c.serial)
-        config.enable_stream(rs.stream.depth, c.width, c.height, rs.format.z16, c.fps)
-        config.enable_stream(rs.stream.color, c.width, c.height, rs.format.rgb8, c.fps)
-
-    def _next_frame(self) -> AlignedFrame:
-        frame = self.read()
-        if frame is None:
-            raise CameraError(
-                "the recording is over", source=self._source, remedy="play a longer one"
-            )
-        return frame

@@ -200,8 +200,9 @@ class GradingTraits:
             _number(row, f"{name}_cm", 100)
             for name in ("length", "interval_low", "interval_high", "thread", "centreline", "chord")
         )
-        is_measured = value_m is not None and kind is not None
-        length = Length(value_m or 0.0, kind, low_m, high_m, interval_of) if is_measured else None
+        length = None
+        if value_m is not None and kind is not None:
+            length = Length(value_m, kind, low_m, high_m, interval_of)
         return cls(
             *(thread_m, centreline_m, chord_m, length),
             inner_arc_mm_per_10cm=_number(row, "inner_arc_mm_per_10cm"),

@@ -6,26 +6,34 @@ pixel is subtracted.
 
 from __future__ import annotations
 
+import logging
+import re
+from collections import defaultdict
 from dataclasses import dataclass, field
-from pathlib import Path
+from functools import cached_property
+from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, TypeVar
+from unicodedata import normalize
+from urllib.parse import unquote
 
 import numpy as np
 
 from cucumbervision.errors import CucumberVisionError, InstancesError, wrap_reader_errors
 from cucumbervision.files import read_json, read_text
-from cucumbervision.fruit.instance import Instance, MaskSource
+from cucumbervision.fruit.instance import Instance, MaskSource, in_picture
 from cucumbervision.fruit.mask_codes import mask_of_segmentation, polygon_points
-from cucumbervision.fruit.masks import box_of_mask
+from cucumbervision.fruit.masks import box_iou, box_of_mask, mask_iou
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
     Array = NDArray[np.float64]
 
 _T = TypeVar("_T")
+_log = logging.getLogger(__name__)
+_MOST_MASK_BYTES = 4_000_000_000  # one byte a pixel
 _KEYPOINTS = 5
 _SLACK = 1e-6  # tolerance outside 0 to 1 for rounded numbers
 _CLIP_SLACK_PX = 0.01  # tolerance for rounded boxes
@@ -82,38 +90,37 @@ class LabelledInstance:
 
         Raises
         ------
-        ValueError, KeyError, TypeError, OverflowError
+        InstancesError, ValueError, KeyError, TypeError, OverflowError
             If box or mask do not fit the picture, or the confidence is outside 0 to 1.
         """
         scale = np.array([width, height] if self.normalised else [1, 1], np.float64)
         polygons = [points * scale for points in self.polygons]
         corners = np.concatenate(polygons) if polygons else np.zeros((1, 2))
-        box, mask = self.box, None
+        box, mask = None if self.box is None else self.box * np.tile(scale, 2), None
+        outer = np.concatenate([corners.min(axis=0), corners.max(axis=0)])
         if len(polygons) == 1 and is_rectangle(polygons[0]):  # an oriented box is no outline
-            box = np.concatenate([corners.min(axis=0), corners.max(axis=0)]) / np.tile(scale, 2)
+            box = outer
         elif self.rle or polygons:
             shape = self.rle or [points.ravel() for points in polygons]
             mask = mask_of_segmentation(shape, height, width)
-        if box is not None:
-            edges, clipped = _clip(box * np.tile(scale, 2), width, height)
-        elif mask is not None:
-            edges, clipped = box_of_mask(mask), bool(_outside(corners, width, height).any())
-        else:
+        if box is None and mask is None:
             raise ValueError("has neither box nor mask")
+        outer = outer if box is None else box
+        size = np.array([width, height]) + _CLIP_SLACK_PX
+        is_clipped = (outer[:2] < -_CLIP_SLACK_PX).any() or (outer[2:] > size).any()
         keypoints = None
         if self.keypoints is not None:
             keypoints = self.keypoints.copy()
             keypoints[:, :2] = keypoints[:, :2] * scale - 0.5
-        if not 0 <= self.confidence <= 1:
-            raise ValueError(f"has the confidence {self.confidence:g}, outside 0 to 1")
-        return Instance(
-            box=edges,
+        instance = Instance(
+            box=box_of_mask(mask) if box is None and mask is not None else outer - 0.5,
             confidence=self.confidence,
             class_name=self.class_name,
             mask=mask,
             mask_source=None if mask is None else MaskSource.DATASET,
             keypoints=keypoints,
-        ), clipped
+        )
+        return in_picture(instance, width, height), bool(is_clipped)
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,13 +167,211 @@ class LabelFile:
     refused: list[InstancesError]
 
 
+@dataclass(frozen=True, eq=False)
+class FileInstances:
+    """A file's instances for one picture.
+
+    Parameters
+    ----------
+    instances : tuple of Instance
+        In the file's order; boxes lie within the picture.
+    clipped : tuple of bool
+        For each instance, whether its box was clipped to the picture.
+    refused : tuple of InstancesError
+        Errors of unusable entries, with their place in the file.
+    """
+
+    instances: tuple[Instance, ...]
+    clipped: tuple[bool, ...]
+    refused: tuple[InstancesError, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class InstanceFile:
+    """A file of instances for many pictures; `read_instances` makes it.
+
+    Parameters
+    ----------
+    source : str
+        The file or folder.
+    pictures : tuple of LabelledImage
+        Its entries by picture.
+    """
+
+    source: str
+    pictures: tuple[LabelledImage, ...]
+
+    def for_capture(
+        self, names: Sequence[str], width: int, height: int, *, frame: int | None = None
+    ) -> FileInstances:
+        """Return the instances of one picture.
+
+        Parameters
+        ----------
+        names : sequence of str
+            Possible names of the picture: the capture's name, its colour file. Compared in full,
+            then without folder, without extension, and without what label tools add. A folder
+            that the file names must be one of the picture's own.
+        width, height : int
+            The picture's size in pixels.
+        frame : int, optional
+            The picture's number, compared with COCO's image ids where the file has no names.
+
+        Returns
+        -------
+        FileInstances
+            Empty where the file does not name the picture (`coverage` lists those).
+
+        Raises
+        ------
+        InstancesError
+            If the file names the picture twice, gives it another size, or has more masks of it
+            than 4 GB hold.
+        """
+        picture = self.find(names, frame)
+        if picture is None:
+            return FileInstances((), (), ())
+        name, size = picture.name or picture.number, f"{width}x{height}"
+        if picture.size_px not in (None, (width, height)):
+            own = "x".join(map(str, picture.size_px or ()))
+            fault = f"gives {name} the size {own}, the picture is {size}"
+            remedy = "give the annotations of this very picture"
+            raise InstancesError(fault, source=self.source, remedy=remedy)
+        records = [x for x in picture.records if isinstance(x, LabelledInstance) and not x.is_crowd]
+        masks = sum(bool(record.rle or record.polygons) for record in records)
+        most_masks = _MOST_MASK_BYTES // (width * height)
+        if masks > most_masks:
+            fault = f"has {masks} masks of {size} pixels in one picture"
+            remedy = f"at most {most_masks} are read; give the picture in parts"
+            raise InstancesError(fault, source=self.source, remedy=remedy)
+        refused = [record for record in picture.records if isinstance(record, InstancesError)]
+        entries: list[tuple[str, Instance, bool]] = []
+        for record in records:
+            entry = entry_or_error(record.where, self.source, record.in_picture, width, height)
+            if isinstance(entry, InstancesError):
+                refused.append(entry)
+            elif (earlier := _label_of_same(entry[0], entries)) is not None:
+                words = "%s: %s: %s labels the fruit of %s again, and is left out"
+                _log.warning(words, self.source, picture.name, record.where, earlier)
+            else:
+                entries.append((record.where, *entry))
+        instances, clipped = (entry[1] for entry in entries), (entry[2] for entry in entries)
+        return FileInstances(tuple(instances), tuple(clipped), tuple(refused))
+
+    @property
+    def crowds(self) -> int:
+        """Number of regions of several fruit, which are left out."""
+        records = (record for picture in self.pictures for record in picture.records)
+        return sum(isinstance(record, LabelledInstance) and record.is_crowd for record in records)
+
+    def coverage(
+        self, captures: Iterable[tuple[Sequence[str], int | None]]
+    ) -> tuple[list[str], list[str]]:
+        """Return the captures without a picture in the file, and its pictures without a capture.
+
+        Parameters
+        ----------
+        captures : iterable of (sequence of str, int or None)
+            Names and number of each capture, as for `for_capture`.
+
+        Returns
+        -------
+        missing, unused : list of str
+            Names of captures, and of pictures of the file.
+        """
+        missing, used = [], set[int]()
+        for names, frame in captures:
+            picture = self.find(names, frame)
+            if picture is None:
+                missing.append(next((n for n in names if n), str(frame)))
+            used.add(id(picture))
+        return missing, [
+            p.name or f"image id {p.number}" for p in self.pictures if id(p) not in used
+        ]
+
+    def find(self, names: Sequence[str], frame: int | None) -> LabelledImage | None:
+        """Return the entries for a capture, as for `for_capture`; None if there are none."""
+        names = [normalize("NFC", name) for name in names if name]
+        for short, called in self._by_name.items():
+            # A capture's name may contain dots without having an extension.
+            keys = {short(n) for n in names} | {_file_name(n) for n in names if short is _stem}
+            matches = [
+                picture
+                for name in keys
+                for picture in called.get(name, ())
+                if short is str or _in_folder(normalize("NFC", picture.name), names)
+            ]
+            if len(matches) == 1:
+                return matches[0]
+            if matches:
+                raise InstancesError(
+                    f"names {' or '.join(sorted(keys))} {len(matches)} times",
+                    source=self.source,
+                    remedy="give the pictures different names",
+                )
+        # A frame number is not a name: if the file has names, its ids mean something else.
+        if frame is None or any(p.name for p in self.pictures):
+            return None
+        return next((p for p in self.pictures if p.number == frame), None)
+
+    @cached_property
+    def _by_name(self) -> dict[Callable[[str], str], dict[str, list[LabelledImage]]]:
+        """The pictures by their names in full, and by these shortened more and more."""
+        shortened: dict[Callable[[str], str], dict[str, list[LabelledImage]]] = {}
+        for short in (str, _file_name, _stem, _untagged):
+            called = shortened[short] = defaultdict(list)
+            for picture in self.pictures:
+                if picture.name:
+                    called[normalize("NFC", short(picture.name))].append(picture)
+        return shortened
+
+
+def read_instances(path: Path | str) -> InstanceFile:
+    """Read COCO JSON, a YOLO txt file, or a folder of YOLO txt files named as their pictures.
+
+    Parameters
+    ----------
+    path : Path or str
+        A .json or .txt file, or a folder (or one that holds `labels/`). Class names of YOLO
+        files come from `classes.txt` in the folder.
+
+    Returns
+    -------
+    InstanceFile
+        An outline that is the four corners of a rectangle is a box without a mask.
+
+    Raises
+    ------
+    InstancesError
+        If the file is missing, or has none of these formats.
+    """
+    path = Path(path)
+    return InstanceFile(str(path), tuple(read_labels(path)))
+
+
+_SAME_FRUIT = 0.85  # intersection over union
+
+
+def _label_of_same(instance: Instance, earlier: Iterable[tuple[str, Instance, bool]]) -> str | None:
+    """Return the place of an earlier label of the same fruit; None without one."""
+    for where, other, _ in earlier:
+        if instance.class_name != other.class_name:
+            continue
+        iou = box_iou(instance.box, other.box)
+        if iou >= _SAME_FRUIT and instance.mask is not None and other.mask is not None:
+            iou = mask_iou(instance.mask, other.mask)
+        if iou >= _SAME_FRUIT:
+            return where
+    return None
+
+
 def read_labels(path: Path) -> list[LabelledImage]:
     """Read COCO JSON, a YOLO txt file, or a folder of YOLO txt files named as their pictures.
 
     Parameters
     ----------
     path : Path
-        As for `instance_files.read_instances`.
+        As for `read_instances`.
 
     Raises
     ------
@@ -444,21 +649,6 @@ def is_rectangle(points: Array) -> bool:
     return bool((np.abs(cosines) < _RIGHT_ANGLE).all())
 
 
-def _clip(box: Array, width: int, height: int) -> tuple[Array, bool]:
-    """Clip a corner-based box to the picture; return it from the first pixel's centre."""
-    if box[2] <= box[0] or box[3] <= box[1]:
-        raise ValueError("its box has no area")
-    corner, opposite = np.maximum(box[:2], 0), np.minimum(box[2:], (width, height))
-    if (opposite <= corner).any():
-        raise ValueError(f"its box lies outside the picture of {width}x{height}")
-    clipped = bool(_outside(box.reshape(2, 2), width, height).any())
-    return np.concatenate([corner, opposite]) - 0.5, clipped
-
-
-def _outside(points: Array, width: int, height: int) -> NDArray[np.bool_]:
-    return (points < -_CLIP_SLACK_PX) | (points > np.array([width, height]) + _CLIP_SLACK_PX)
-
-
 def entry_or_error(
     where: str, source: object, read: Callable[..., _T], *arguments: Any
 ) -> _T | InstancesError:
@@ -472,3 +662,53 @@ def entry_or_error(
     except (AttributeError, TypeError, ValueError, OverflowError) as error:
         fault = str(error)
     return InstancesError(f"{where}: {fault}", source=source, remedy="correct it")
+
+
+def _file_name(name: str) -> str:
+    return PurePosixPath(name.replace("\\", "/")).name
+
+
+def _stem(name: str) -> str:
+    return PurePosixPath(_file_name(name)).stem
+
+
+_TAGS = (
+    re.compile(r"^[0-9a-f]{8}-(?=.)"),  # Label Studio
+    re.compile(r"_(png|jpe?g|bmp|tiff?|webp)\.rf\.[0-9A-Za-z]{16,}$", re.IGNORECASE),  # Roboflow
+    re.compile(r"\.(png|jpe?g|bmp|tiff?|webp)$", re.IGNORECASE),  # Supervisely: color_1.png.json
+)
+# Folders of label tools and data sets, which are not part of a capture's path.
+_TOOL_FOLDERS = frozenset(
+    {
+        *("d", "data", "ds", "export", "image", "images", "img", "input", "label", "labels"),
+        *("local-files", "obj_train_data", "obj_valid_data", "test", "train", "upload", "val"),
+        "valid",
+    }
+)
+
+
+def _untagged(name: str) -> str:
+    """Return a name without folder, extension and the additions of label tools.
+
+    Examples
+    --------
+    >>> _untagged("images/1f3a9c02-color_1.png"), _untagged("color_1.png")
+    ('color_1', 'color_1')
+    >>> _untagged("color_1_png.rf.0f1e2d3c4b5a69788796a5b4c3d2e1f0.jpg")
+    'color_1'
+    """
+    plain = _stem(unquote(name))
+    for tag in _TAGS:
+        plain = tag.sub("", plain)
+    return plain
+
+
+def _in_folder(label: str, names: Sequence[str]) -> bool:
+    """Return whether the folder in a label's name is a folder of the picture.
+
+    Folders of label tools, numeric folders and pictures without a folder always match.
+    """
+    folders = PurePosixPath(label.replace("\\", "/")).parts[:-1]
+    telling = [f for f in folders if f.lower() not in _TOOL_FOLDERS and not f.isdecimal()]
+    parts = {part for name in names for part in PurePosixPath(name.replace("\\", "/")).parts[:-1]}
+    return not telling or not parts or telling[-1] in parts

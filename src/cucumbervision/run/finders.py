@@ -453,7 +453,7 @@ def _with_pose(find: Find, pose: YoloDetector | None, sure: float) -> Find:
 
 
 def _file_finder(path: Path) -> Find:
-    from cucumbervision.fruit.instance_files import read_instances
+    from cucumbervision.fruit.label_files import read_instances
 
     file = read_instances(path)
 

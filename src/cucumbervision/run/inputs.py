@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.frames import Capture
     from cucumbervision.capture.source import CaptureSource, ReadOptions
-    from cucumbervision.fruit.instance_files import InstanceFile
+    from cucumbervision.fruit.label_files import InstanceFile
 
 _log = logging.getLogger(__name__)
 _LONGEST_LIST = 300
@@ -225,7 +225,7 @@ def label_file(instances: str) -> InstanceFile | None:
     InstancesError
         If it cannot be read.
     """
-    from cucumbervision.fruit.instance_files import read_instances
+    from cucumbervision.fruit.label_files import read_instances
 
     named = instances in INSTANCE_SOURCES or instances in plugins("detectors")
     is_network = Path(instances).suffix.lower() == ".onnx"

@@ -10,11 +10,10 @@ import cv2
 import numpy as np
 import pytest
 
-from cucumbervision.capture.readers import common
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.pictures import write_png
-from cucumbervision.capture.readers import open_source
+from cucumbervision.capture.readers import common, open_source
 from cucumbervision.capture.readers.pair import match_pairs
 from cucumbervision.capture.source import Folder
 from cucumbervision.errors import CaptureError, DepthError, IntrinsicsError

@@ -10,10 +10,10 @@ from cucumbervision.capture.intrinsics import DepthAlong, Stream
 from cucumbervision.capture.readers.common import choose_intrinsics
 from cucumbervision.capture.realsense import (
     AlignedFrame,
-    AlignedStream,
+    CameraConfig,
+    RealSenseCamera,
     burst_capture,
     import_realsense,
-    play_file,
 )
 from cucumbervision.capture.source import CaptureRef, CaptureSource, ReadOptions, fail, safe_name
 from cucumbervision.errors import CaptureError
@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from cucumbervision.capture.intrinsics import Intrinsics
-
-_TIMEOUT_S = 5.0
 
 
 def open_recording(path: Path, options: ReadOptions) -> CaptureSource:
@@ -60,7 +58,7 @@ def open_recording(path: Path, options: ReadOptions) -> CaptureSource:
             remedy="leave out --depth-along and --aligned-to",
         )
     import_realsense()
-    with _stream(path) as stream:
+    with RealSenseCamera(CameraConfig(playback=path, warm_up=0)) as stream:
         frame_intrinsics, device = stream.intrinsics, stream.device
     intrinsics = choose_intrinsics(
         frame_intrinsics, camera_file, frame_intrinsics.width, frame_intrinsics.height, source=path
@@ -71,16 +69,12 @@ def open_recording(path: Path, options: ReadOptions) -> CaptureSource:
     )
 
 
-def _stream(path: Path) -> AlignedStream:
-    return AlignedStream(play_file(path), source=path, playback=True, timeout_s=_TIMEOUT_S)
-
-
 def _refs(
     path: Path, burst: int, intrinsics: Intrinsics, capture_fields: dict[str, Any]
 ) -> Iterator[CaptureRef]:
     name = safe_name(path.stem)
     fault, any_frame = None, False
-    with _stream(path) as stream:
+    with RealSenseCamera(CameraConfig(playback=path, warm_up=0)) as stream:
         while fault is None:
             frames, fault = _next_burst(stream, burst)
             if not frames:
@@ -103,7 +97,7 @@ def _refs(
 
 
 def _next_burst(
-    stream: AlignedStream, burst: int
+    stream: RealSenseCamera, burst: int
 ) -> tuple[list[AlignedFrame], CaptureError | None]:
     frames: list[AlignedFrame] = []
     while len(frames) < burst:

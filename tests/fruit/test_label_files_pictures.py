@@ -9,8 +9,13 @@ import pytest
 
 from cucumbervision.errors import InstancesError
 from cucumbervision.fruit.instance import MaskSource
-from cucumbervision.fruit.instance_files import FileInstances, read_instances
-from cucumbervision.fruit.label_files import LabelledInstance, parse_yolo_line, read_labels
+from cucumbervision.fruit.label_files import (
+    FileInstances,
+    LabelledInstance,
+    parse_yolo_line,
+    read_instances,
+    read_labels,
+)
 
 WIDTH, HEIGHT = 20, 10
 
@@ -153,9 +158,9 @@ def test_more_masks_than_memory_holds_are_refused(
 ) -> None:
     outlines = [{"segmentation": [[k, 1, k + 3, 1, k + 4, 3, k, 4]]} for k in (1, 6, 11)]
     path = coco(tmp_path / "c.json", *outlines, {"bbox": [2, 1, 5, 4]})
-    monkeypatch.setattr("cucumbervision.fruit.instance_files._MOST_MASK_BYTES", 600)
+    monkeypatch.setattr("cucumbervision.fruit.label_files._MOST_MASK_BYTES", 600)
     assert len(get(path).instances) == 4
-    monkeypatch.setattr("cucumbervision.fruit.instance_files._MOST_MASK_BYTES", 599)
+    monkeypatch.setattr("cucumbervision.fruit.label_files._MOST_MASK_BYTES", 599)
     with pytest.raises(InstancesError, match=r"has 3 masks of 20x10 pixels in .*at most 2 are"):
         get(path)
 
@@ -183,7 +188,7 @@ def test_bad_annotations_are_named_and_the_rest_goes_on(tmp_path: Path) -> None:
     assert [f.box.tolist() for f in found.instances] == [[14.5, 0.5, 19.5, 4.5]]
     assert found.clipped == (True,)
     faults = [
-        "outside the picture",
+        "no area inside the picture",
         "not finite",
         "no area",
         "unpack",
@@ -193,7 +198,7 @@ def test_bad_annotations_are_named_and_the_rest_goes_on(tmp_path: Path) -> None:
         "too large",
         "fewer than three",
         "covers no pixel",
-        "confidence 7",
+        "the confidence is 7",
         "neither box nor mask",
     ]
     assert len(found.refused) == len(faults)

@@ -232,8 +232,8 @@ class InstanceFile:
         if picture is None:
             return FileInstances((), (), ())
         name, size = picture.name or picture.number, f"{width}x{height}"
-        if picture.size_px not in (None, (width, height)):
-            own = "x".join(map(str, picture.size_px or ()))
+        if picture.size_px is not None and picture.size_px != (width, height):
+            own = "x".join(map(str, picture.size_px))
             fault = f"gives {name} the size {own}, the picture is {size}"
             remedy = "give the annotations of this very picture"
             raise InstancesError(fault, source=self.source, remedy=remedy)

@@ -59,7 +59,10 @@ def test_every_fault_of_a_yolo_set_is_listed(make_set: MakeSet, tmp_path: Path) 
     _, findings = check_folder(out)
     assert faults(findings) == [
         ("label", "line 1: has numbers outside 0 to 1, which must be shares of width and height"),
-        ("label", "line 2: its box has no area"),
+        (
+            "label",
+            "line 2: the box [79.5, 53.5, 79.5, 65.5] has no area inside the picture of 160x120",
+        ),
         ("label", "the label file is missing"),
         ("picture", "is truncated or damaged"),
         ("class", "the class 'leaf' has no label"),

@@ -19,7 +19,7 @@ from cucumbervision.fruit.crops import HEIGHT_PX, WIDTH_PX, fruit_crop
 from cucumbervision.fruit.instance import UNKNOWN_ORDER, Instance
 from cucumbervision.fruit.masks import box_of_mask, mask_iou
 from cucumbervision.networks.find import NetworkLoader
-from cucumbervision.networks.looks import FruitLook, FruitLooker, refined
+from cucumbervision.networks.looks import FruitLook, FruitLooker, PictureLooks, refined
 from cucumbervision.networks.registry import load_registry
 
 if TYPE_CHECKING:
@@ -131,7 +131,7 @@ def test_nothing_to_look_at_gives_nothing_and_fruit_without_mask_stay(tmp_path: 
     color = np.full((120, 320, 3), 90, np.uint8)
     bare = replace(_instance(), detector_mask=None)
     assert looker.look([]) == []
-    assert looker.on(color).refine([bare]) == (bare,)
+    assert PictureLooks(looker, color).refine([bare]) == (bare,)
 
 
 def test_fruit_get_the_networks_outlines_and_neighbours_keep_their_pixels(tmp_path: Path) -> None:
@@ -145,7 +145,7 @@ def test_fruit_get_the_networks_outlines_and_neighbours_keep_their_pixels(tmp_pa
         replace(_instance(), detector_mask=mask, box=box_of_mask(mask))
         for mask in (coarse, neighbour)
     ]
-    first, second = looker.on(color).refine(pair)
+    first, second = PictureLooks(looker, color).refine(pair)
     assert first.detector_mask is not None
     visible = MASK & ~neighbour
     assert mask_iou(first.detector_mask, visible) > 0.95
@@ -157,7 +157,7 @@ def test_what_a_crop_shows_changes_the_confidence(tmp_path: Path) -> None:
     looker = FruitLooker(fruit_network(tmp_path / "fruit.onnx"))
     color = np.full((120, 320, 3), 200, np.uint8)
     bare = replace(_instance(), detector_mask=None)
-    shown, unseen = looker.on(color).rescore([_instance(), bare])
+    shown, unseen = PictureLooks(looker, color).rescore([_instance(), bare])
     # The network's log-odds are 2, those that change nothing 1: 0.4 more for the detector's.
     assert np.log(shown.confidence / (1 - shown.confidence)) == pytest.approx(np.log(4) + 0.4)
     assert unseen is bare
@@ -175,7 +175,7 @@ def test_each_mask_is_looked_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(looker, "look", counted)
     color = np.full((120, 320, 3), 200, np.uint8)
     color[MASK] = 40, 120, 45
-    looks = looker.on(color)
+    looks = PictureLooks(looker, color)
     (rescored,) = looks.rescore([_instance()])
     joined = replace(rescored, detector_mask=MASK | np.roll(MASK, 3, axis=1))
     first, second = looks.refine([rescored, joined])
@@ -183,7 +183,7 @@ def test_each_mask_is_looked_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert first.detector_mask is not None
     assert second.detector_mask is not None
     # Another picture is another look.
-    looker.on(color).refine([rescored])
+    PictureLooks(looker, color).refine([rescored])
     assert shown == [1, 1, 1]
 
 
@@ -221,7 +221,7 @@ def test_points_by_place_are_ordered_by_the_look_and_others_stay(
     back = replace(by_place, keypoints=line[::-1], detector_mask=None, mask=MASK)
     known, bare = replace(by_place, end_confidence=0.8), _instance()
     color = np.full((120, 320, 3), 200, np.uint8)
-    ordered = looker.on(color).order([by_place, known, back, bare])
+    ordered = PictureLooks(looker, color).order([by_place, known, back, bare])
     assert ordered[1] is known
     assert ordered[3] is bare
     assert ordered[2].detector_mask is None
@@ -231,7 +231,7 @@ def test_points_by_place_are_ordered_by_the_look_and_others_stay(
         assert abs(last[0] - stem[0]) < 30
         assert last[2] == (1.0 if last[0] > 160 else 0.2)  # visibilities go with the points
         assert instance.end_confidence == pytest.approx(1 / (1 + np.exp(-3)))
-    assert looker.on(color).order([]) == ()
+    assert PictureLooks(looker, color).order([]) == ()
 
 
 def test_keypoints_are_the_looks_and_no_pose_network_is_loaded(tmp_path: Path) -> None:

@@ -98,9 +98,19 @@ def test_a_fruit_out_of_sight_for_too_long_is_another() -> None:
     tracker = Tracker(keep_s=1.0)
     view = Sighting(np.array([0.0, 0.0, 0.5]), 100, 100, np.ones((20, 5), bool))
     assert tracker.assign([view], CAMERA, 0.0) == [1]
-    assert tracker.assign([], CAMERA, 0.9) == []
+    for at_s in (0.3, 0.6, 0.9):
+        assert tracker.assign([], CAMERA, at_s) == []
     assert tracker.numbers == {1}
     assert tracker.assign([view], CAMERA, 1.2) == [2]
+
+
+def test_a_loaded_computer_that_takes_a_frame_in_three_seconds_keeps_every_number() -> None:
+    row, tracker = rows_of(1, 2, 0.3), Tracker()
+    pairs = set()
+    for frame in range(20):
+        names, views = row.seen(0.1)
+        pairs |= set(zip(names, tracker.assign(views, CAMERA, 3.0 * frame), strict=True))
+    assert len(pairs) == 2
 
 
 def test_a_clock_that_is_set_back_keeps_no_fruit_of_the_future() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast
 
@@ -17,7 +18,7 @@ from cucumbervision.networks.confidence import (
     detector_floor,
     pose_floor,
 )
-from cucumbervision.networks.looks import EndLooker, FruitLooker
+from cucumbervision.networks.looks import EndLooker, FruitLooker, PictureLooks
 from cucumbervision.networks.registry import Registry, file_sha256, load_registry
 from cucumbervision.networks.yolo import SAME_IOU, YoloDetector
 from cucumbervision.plugins import Segmenter
@@ -98,7 +99,7 @@ class Detectors:
         detector, pose = self._detector, self._pose
         looks, least_confidence = None, None
         if self._fruit is not None:
-            looks = self._fruit.on(color_rgb, depth_m, focal_px, once=self._quick)
+            looks = PictureLooks(self._fruit, color_rgb, depth_m, focal_px, self._quick)
         if looks is not None and not self._quick:
             least_confidence = min(CANDIDATE_CONFIDENCE, detector.confidence)
         detections = detector.detect(color_rgb, least_confidence)
@@ -323,7 +324,7 @@ class NetworkLoader:
         self._pose_confidence = pose_floor(confidence)
         self._small: dict[str, Any] = {}
         self._orders_ends = False
-        self._files: dict[str, dict[str, Path]] = {}
+        self.verify = cache(self.registry.resolve)  # each file is hashed once
         self._segmenters: dict[str | None, NetworkSegmenter] = {}
 
     def stem_looker(self) -> FruitLooker | None:
@@ -342,18 +343,6 @@ class NetworkLoader:
     def _look(self, crops: Sequence[EndCrop]) -> list[EndLook]:
         looker = self._small_network("look", EndLooker)
         return [] if looker is None else looker.look(crops)
-
-    def verify(self, name: str) -> dict[str, Path]:
-        """Return the files of a registered network by role; each is hashed once.
-
-        Raises
-        ------
-        ModelError, ModelHashError
-            If the network is not on this machine, or a file is missing or damaged.
-        """
-        if name not in self._files:
-            self._files[name] = self.registry.resolve(name)
-        return self._files[name]
 
     def yolo(self, chosen: Path | str, confidence: float | None = None) -> YoloDetector:
         """Load a YOLO network: a user's file (a path), or one of the registry (a name).

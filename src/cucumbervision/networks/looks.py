@@ -9,7 +9,7 @@ from the left, says whether it is the true end, and what is missing.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -25,7 +25,7 @@ from cucumbervision.fruit.crops import (
     EndLook,
     fruit_crop,
 )
-from cucumbervision.fruit.instance import UNKNOWN_ORDER, with_disjoint_masks
+from cucumbervision.fruit.instance import UNKNOWN_ORDER, visible_mask, with_disjoint_masks
 from cucumbervision.fruit.masks import mask_iou, without_spurs
 from cucumbervision.networks.resize import input_planes
 from cucumbervision.networks.runtime import open_network, runtime_for_batches
@@ -71,6 +71,7 @@ class SmallNetwork:
     def __init__(self, path: Path, runtime: str = "auto") -> None:
         chosen = runtime_for_batches(runtime)
         self._network = open_network(path, chosen, full_precision=True)
+        self.runtime = self._network.runtime
         inputs = tuple(tuple(tensor.shape[1:]) for tensor in self._network.inputs)
         if inputs != self.shapes or len(self._network.outputs) != self.outputs:
             raise ModelError(
@@ -78,11 +79,6 @@ class SmallNetwork:
                 source=path,
                 remedy=f"name a network by `cucumbervision {self.command}`",
             )
-
-    @property
-    def runtime(self) -> str:
-        """What runs it, as `Network.runtime`."""
-        return self._network.runtime
 
     def _run(
         self, pictures: NDArray[np.uint8], *values: NDArray[np.float32]
@@ -174,46 +170,32 @@ class FruitLooker(SmallNetwork):
             for outline, place, verdict in zip(outlines, points, verdicts, strict=True)
         ]
 
-    def on(
-        self,
-        color_rgb: NDArray[np.uint8],
-        depth_m: NDArray[np.float32] | None = None,
-        focal_px: float | None = None,
-        *,
-        once: bool = False,
-    ) -> PictureLooks:
-        """Return what looks at the fruit of one picture.
 
-        Parameters
-        ----------
-        color_rgb : ndarray of uint8, shape (H, W, 3)
-            The picture.
-        depth_m : ndarray of float32, shape (H, W), optional
-            Metres, aligned to colour.
-        focal_px : float, optional
-            Focal length of the colour camera, pixels; without it depth is not shown.
-        once : bool
-            Whether one look at each fruit is enough; see `look`.
-        """
-        return PictureLooks(self, color_rgb, depth_m, focal_px, once=once)
-
-
+@dataclass(eq=False)
 class PictureLooks:
-    """Looks at the fruit of one picture, each mask once; `FruitLooker.on` makes it."""
+    """Looks at the fruit of one picture, each mask once.
 
-    def __init__(
-        self,
-        looker: FruitLooker,
-        color_rgb: NDArray[np.uint8],
-        depth_m: NDArray[np.float32] | None,
-        focal_px: float | None,
-        *,
-        once: bool,
-    ) -> None:
-        self._looker, self._color_rgb = looker, color_rgb
-        self._depth_m, self._focal_px, self._once = depth_m, focal_px, once
-        # With each mask, so that no other gets its number.
-        self._done: dict[int, tuple[NDArray[np.bool_], FruitCrop, FruitLook]] = {}
+    Parameters
+    ----------
+    looker : FruitLooker
+        The network.
+    color_rgb : ndarray of uint8, shape (H, W, 3)
+        The picture.
+    depth_m : ndarray of float32, shape (H, W), optional
+        Metres, aligned to colour.
+    focal_px : float, optional
+        Focal length of the colour camera, pixels; without it depth is not shown.
+    once : bool
+        Whether one look at each fruit is enough; see `FruitLooker.look`.
+    """
+
+    looker: FruitLooker
+    color_rgb: NDArray[np.uint8]
+    depth_m: NDArray[np.float32] | None = None
+    focal_px: float | None = None
+    once: bool = False
+    # With each mask, so that no other gets its number.
+    _done: dict[int, tuple[NDArray[np.bool_], FruitCrop, FruitLook]] = field(default_factory=dict)
 
     def rescore(self, instances: Sequence[Instance]) -> tuple[Instance, ...]:
         """Return detections with confidences that say what their crops show, too.
@@ -251,7 +233,7 @@ class PictureLooks:
         for number, (crop, look) in looks.items():
             neighbours = [mask for k, mask in enumerate(masks) if k != number and mask is not None]
             refined_instances[number] = refined(instances[number], crop, look, neighbours)
-        return with_disjoint_masks(refined_instances, self._depth_m)
+        return with_disjoint_masks(refined_instances, self.depth_m)
 
     def order(self, instances: Sequence[Instance]) -> tuple[Instance, ...]:
         """Return detections with their keypoints ordered from blossom end to stem end.
@@ -267,7 +249,7 @@ class PictureLooks:
             for number, instance in enumerate(instances)
             if instance.keypoints is not None and instance.end_confidence == UNKNOWN_ORDER
         }
-        looks = self._looks([_with_detector_mask(x) for x in unordered.values()])
+        looks = self._looks([replace(x, detector_mask=visible_mask(x)) for x in unordered.values()])
         ordered = list(instances)
         for place, (number, instance) in enumerate(unordered.items()):
             if place in looks:
@@ -281,26 +263,17 @@ class PictureLooks:
         crops = {
             key: crop
             for key, mask in new.items()
-            if (crop := fruit_crop(self._color_rgb, self._depth_m, mask, self._focal_px))
+            if (crop := fruit_crop(self.color_rgb, self.depth_m, mask, self.focal_px))
         }
-        looks = self._looker.look(list(crops.values()), once=self._once)
+        looks = self.looker.look(list(crops.values()), once=self.once)
         for (key, crop), look in zip(crops.items(), looks, strict=True):
             self._done[key] = new[key], crop, look
         return {k: self._done[id(mask)][1:] for k, mask in masks.items() if id(mask) in self._done}
 
 
-def _with_detector_mask(instance: Instance) -> Instance:
-    mask = instance.mask if instance.detector_mask is None else instance.detector_mask
-    return replace(instance, detector_mask=mask)
-
-
 def _mean(first: FruitLook, second: FruitLook) -> FruitLook:
-    return FruitLook(
-        np.asarray((first.outline + second.outline) / 2, np.float32),
-        (first.points + second.points) / 2,
-        (first.fruit + second.fruit) / 2,
-        (first.stem_last + second.stem_last) / 2,
-    )
+    pairs = zip(vars(first).values(), vars(second).values(), strict=True)
+    return FruitLook(*((a + b) / 2 for a, b in pairs))
 
 
 def rescored(confidence: float, log_odds: float) -> float:

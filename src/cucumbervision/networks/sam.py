@@ -108,12 +108,8 @@ class Sam:
         self._decoder = open_network(
             files["decoder"], runtime_for_batches(runtime), full_precision=True
         )
+        self.runtime = self._encoder.runtime
         self._encoded: OrderedDict[object, NDArray[np.float32]] = OrderedDict()
-
-    @property
-    def runtime(self) -> str:
-        """The runtime of the encoder, with the precision."""
-        return self._encoder.runtime
 
     @OneThread()
     def segment(

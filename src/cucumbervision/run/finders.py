@@ -23,6 +23,7 @@ from cucumbervision.fruit.masks import box_of_mask, is_box_mask, without_flower
 from cucumbervision.methods.m6 import fits_well, measure_m6
 from cucumbervision.methods.result import Selector
 from cucumbervision.networks.keypoint_axis import place_keypoints
+from cucumbervision.networks.looks import PictureLooks
 from cucumbervision.plugins import Kind, Plugin, plugins
 from cucumbervision.run.options import MeasureOptions, PlugIns
 
@@ -289,7 +290,7 @@ def _finished(
     placed = place_keypoints(cleaned)
     stem_looker = networks.stem_looker()
     if stem_looker is not None:
-        placed = stem_looker.on(*_seen(capture)).order(placed)
+        placed = PictureLooks(stem_looker, *_seen(capture)).order(placed)
     pairs = zip(detections.tubes, detections.instances, cleaned, strict=False)
     return replace(
         detections,

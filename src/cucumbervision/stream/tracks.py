@@ -302,7 +302,9 @@ def sighting_of(capture: Capture, instance: Instance) -> Sighting:
     return Sighting(at_m, rows.start, columns.start, outline)
 
 
-_MOST_UNSEEN = 200  # frames, more than any camera takes in `keep_s`
+# Frames without a fruit before it may be lost, and more than any camera takes in `keep_s`.
+_FEW_UNSEEN, _MOST_UNSEEN = 3, 200
+_LONGEST_UNSEEN_S = 20.0
 
 
 @dataclass(eq=False)
@@ -317,8 +319,13 @@ class _Track:
     unseen_frames: int = 0
 
     def is_lost(self, now_s: float, keep_s: float) -> bool:
-        """Return whether it was out of sight for too long, also where time stands or goes back."""
-        return abs(now_s - self.seen_s) > keep_s or self.unseen_frames > _MOST_UNSEEN
+        """Return whether it was out of sight for too long, also where time goes back.
+
+        A pause between two frames loses no fruit: a loaded computer takes few.
+        """
+        unseen_s = abs(now_s - self.seen_s)
+        is_missed = self.unseen_frames >= _FEW_UNSEEN and unseen_s > keep_s
+        return is_missed or unseen_s > _LONGEST_UNSEEN_S or self.unseen_frames > _MOST_UNSEEN
 
 
 class Tracker:
@@ -330,7 +337,7 @@ class Tracker:
     Parameters
     ----------
     keep_s : float
-        Time for which a fruit out of sight is kept, seconds.
+        Time for which a fruit that frames do not show is kept, seconds.
 
     Examples
     --------
@@ -381,7 +388,7 @@ class Tracker:
         camera : Intrinsics
             Intrinsics of the frame.
         now_s : float
-            Time in seconds. Fruit seen at another time than within `keep_s` of it are forgotten.
+            Time in seconds.
         """
         elapsed_s = max(now_s - self._at_s, 0.0) if self._at_s is not None else 0.0
         self._at_s = now_s

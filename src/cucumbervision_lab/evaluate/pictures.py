@@ -25,7 +25,7 @@ from cucumbervision.networks.confidence import (
 )
 from cucumbervision.networks.find import NetworkLoader, NetworkSegmenter, each_fruit_once
 from cucumbervision.networks.keypoint_axis import place_keypoints
-from cucumbervision.networks.looks import FruitLooker
+from cucumbervision.networks.looks import FruitLooker, PictureLooks
 from cucumbervision.networks.yolo import YoloDetector
 from cucumbervision_lab.arrays import Array, Array32, Pixels
 from cucumbervision_lab.data.coco import read_coco
@@ -442,7 +442,9 @@ def detect_picture(
         seconds[name] = time.perf_counter() - start
         return detections
 
-    looks = None if networks.fruit is None else networks.fruit.on(color, depth_m, focal_px)
+    looks = (
+        None if networks.fruit is None else PictureLooks(networks.fruit, color, depth_m, focal_px)
+    )
     segmented, posed = detect("segment", networks.segment), detect("pose", networks.pose)
     instances = merge_detections(
         segmented if networks.segment else None,
@@ -461,7 +463,7 @@ def detect_picture(
 
     def coded(instances: Sequence[Instance]) -> tuple[Label, ...]:
         if networks.ends is not None:
-            instances = networks.ends.on(color, depth_m, focal_px).order(instances)
+            instances = PictureLooks(networks.ends, color, depth_m, focal_px).order(instances)
         return tuple(detected_label(instance, depth_m) for instance in instances)
 
     frame = replace(

@@ -6,8 +6,9 @@ The format is that of the BOP benchmark (Hodaň et al. 2018); `scene_gt.json` is
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -49,55 +50,29 @@ def _open_scenes(
     camera_file: CameraFile | None,
 ) -> Iterator[CaptureEntry]:
     for scene_path, names in scenes.items():
-        files = {kind: _by_image(path / scene_path / kind, names[kind]) for kind in _PARTS}
+        scene = path / scene_path
+        files = {kind: _by_image(scene / kind, names[kind]) for kind in _PARTS}
         if not any(files.values()):
-            raise CaptureError(
-                "has no images in rgb/", source=path / scene_path, remedy="check the scene's folder"
-            )
+            remedy = "check the scene's folder"
+            raise CaptureError("has no images in rgb/", source=scene, remedy=remedy)
         prefix = safe_name("_".join((path.resolve().name, *Path(scene_path).parts)))
-        yield from _scene(path / scene_path, prefix, files, camera_file, options)
-
-
-def _scene(
-    scene: Path,
-    prefix: str,
-    files: Mapping[str, Mapping[int, list[Path]]],
-    camera_file: CameraFile | None,
-    options: ReadOptions,
-) -> Iterator[CaptureEntry]:
-    cameras, fault = dict[str, Any](), None
-    try:
-        cameras = read_json(scene / SCENE_CAMERAS)
-        if not isinstance(cameras, dict):
-            raise CaptureError(
-                "is not an object of image ids",
-                source=scene / SCENE_CAMERAS,
-                remedy="correct the file",
-            )
-    except CaptureError as error:
-        # Other scenes of the data set can still be loaded.
-        fault = error
-    # A mask or depth picture without a colour picture is reported as a broken frame.
-    for image in sorted(set().union(*files.values())):
-        pictures = {kind: numbered.get(image, []) for kind, numbered in files.items()}
-        frame_camera = None if fault else cameras.get(str(image))
-        load = partial(_load, scene, image, pictures, frame_camera, camera_file, options)
-        yield (
-            f"{prefix}_{image:06d}",
-            image,
-            partial(fail, fault) if fault else load,
-            scene / f"rgb/{image:06d}",
-            partial(_read_from, pictures, frame_camera, camera_file),
-        )
-
-
-def _read_from(
-    files: dict[str, list[Path]], camera: Any, camera_file: CameraFile | None
-) -> list[Path | bytes]:
-    """Return the inputs of a frame, including only its own camera entry."""
-    camera_files = [] if camera_file is None else [camera_file.path]
-    pictures = files["rgb"][:1] + files["depth"][:1] + files["mask_visib"]
-    return [json.dumps(camera).encode(), *pictures, *camera_files]
+        cameras, fault = dict[str, Any](), None
+        try:
+            cameras = read_json(scene / SCENE_CAMERAS)
+            if not isinstance(cameras, dict):
+                remedy = "correct the file"
+                raise CaptureError(
+                    "is not an object of image ids", source=scene / SCENE_CAMERAS, remedy=remedy
+                )
+        except CaptureError as error:
+            fault = error  # other scenes of the data set can still be loaded
+        # A mask or depth picture without a colour picture is reported as a broken frame.
+        for number in sorted(set().union(*files.values())):
+            pictures = {kind: numbered.get(number, []) for kind, numbered in files.items()}
+            entry = None if fault else cameras.get(str(number))
+            image = _Image(scene, number, pictures, entry, camera_file, options)
+            load = partial(fail, fault) if fault else image.load
+            yield f"{prefix}_{number:06d}", number, load, scene / f"rgb/{number:06d}", image.parts
 
 
 def _by_image(folder: Path, names: Iterable[str]) -> dict[int, list[Path]]:
@@ -109,43 +84,51 @@ def _by_image(folder: Path, names: Iterable[str]) -> dict[int, list[Path]]:
     return by_number
 
 
-def _load(
-    scene: Path,
-    image: int,
-    files: dict[str, list[Path]],
-    frame_camera: Any,
-    camera_file: CameraFile | None,
-    options: ReadOptions,
-    name: str,
-) -> Capture:
-    for kind in ("rgb", "depth"):
-        if not files[kind]:
-            raise CaptureError(
-                f"image {image} is missing, which other files of the scene name",
-                source=scene / kind / f"{image:06d}.png",
-                remedy="copy the scene again",
-            )
-    camera_path = scene / SCENE_CAMERAS
-    if frame_camera is None:
-        raise IntrinsicsError(
-            f"has no entry for image {image}", source=camera_path, remedy="add its cam_K"
-        )
-    camera = parse_model(_FrameCamera, frame_camera, source=camera_path, error=IntrinsicsError)
-    color = read_color(files["rgb"][0])
-    height, width = color.shape[:2]
-    with as_errors_of(camera_path):
-        scene_intrinsics = Intrinsics.from_matrix(camera.cam_K, width, height)
-    return frame_capture(
-        color,
-        partial(read_depth, files["depth"][0]),
-        scene_intrinsics,
-        camera_file and replace(camera_file, depth_to_color=None),  # aligned by definition
+@dataclass(frozen=True)
+class _Image:
+    """Files of one image of a scene, and its entry of the scene's cameras."""
+
+    scene: Path
+    number: int
+    files: Mapping[str, list[Path]]
+    camera: Any
+    camera_file: CameraFile | None
+    options: ReadOptions
+
+    def parts(self) -> list[Path | bytes]:
+        """Return the inputs of the image, including only its own camera entry."""
+        camera_files = [] if self.camera_file is None else [self.camera_file.path]
+        pictures = (self.files[kind][: None if kind == "mask_visib" else 1] for kind in _PARTS)
+        return [json.dumps(self.camera).encode(), *chain(*pictures), *camera_files]
+
+    def load(self, name: str) -> Capture:
+        """Read the image."""
+        files, camera_path = self.files, self.scene / SCENE_CAMERAS
+        for kind in ("rgb", "depth"):
+            if not files[kind]:
+                fault = f"image {self.number} is missing, which other files of the scene name"
+                path = self.scene / kind / f"{self.number:06d}.png"
+                raise CaptureError(fault, source=path, remedy="copy the scene again")
+        if self.camera is None:
+            fault = f"has no entry for image {self.number}"
+            raise IntrinsicsError(fault, source=camera_path, remedy="add its cam_K")
+        camera = parse_model(_FrameCamera, self.camera, source=camera_path, error=IntrinsicsError)
+        color = read_color(files["rgb"][0])
+        height, width = color.shape[:2]
+        with as_errors_of(camera_path):
+            scene_intrinsics = Intrinsics.from_matrix(camera.cam_K, width, height)
         # BOP: depth_scale times the stored number is millimetres.
-        replace(options, depth_unit_m=options.depth_unit_m or camera.depth_scale * 0.001),
-        source=files["rgb"][0],
-        depth_source=files["depth"][0],
-        name=name,
-        frame=image,
-        masks=read_masks(files["mask_visib"], color.shape),
-        provenance={"reader": "bop", "scene": scene.name},
-    )
+        unit_m = self.options.depth_unit_m or camera.depth_scale * 0.001
+        return frame_capture(
+            color,
+            partial(read_depth, files["depth"][0]),
+            scene_intrinsics,
+            self.camera_file and replace(self.camera_file, depth_to_color=None),  # aligned
+            replace(self.options, depth_unit_m=unit_m),
+            source=files["rgb"][0],
+            depth_source=files["depth"][0],
+            name=name,
+            frame=self.number,
+            masks=read_masks(files["mask_visib"], color.shape),
+            provenance={"reader": "bop", "scene": self.scene.name},
+        )

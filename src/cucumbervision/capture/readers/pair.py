@@ -16,7 +16,7 @@ from cucumbervision.errors import CaptureError, IntrinsicsError
 from cucumbervision.files import read_head
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from cucumbervision.capture.frames import Capture
@@ -46,6 +46,29 @@ class Pair:
     depth: Path | None
     camera: Path | None = None
     fault: CaptureError | None = None
+
+    def load(
+        self, frame: int, camera: CameraFile | CaptureError, options: ReadOptions, name: str
+    ) -> Capture:
+        """Read the frame."""
+        if self.color is None or self.depth is None:
+            fault = f"has no {'depth' if self.color else 'colour'} picture of a matching name"
+            source = self.color or self.depth
+            raise CaptureError(fault, source=source, remedy="put it beside this one")
+        if isinstance(camera, CaptureError):
+            raise camera
+        return frame_capture(
+            read_color(self.color),
+            partial(read_depth, self.depth),
+            None,
+            camera,
+            options,
+            source=self.color,
+            depth_source=self.depth,
+            name=name,
+            frame=frame,
+            provenance={"reader": "pair", "depth": str(self.depth), "intrinsics": str(camera.path)},
+        )
 
 
 def find_pairs(folder: Folder) -> CaptureLister | None:
@@ -200,7 +223,7 @@ def _open_pairs(
         raise next(camera for camera in chosen if isinstance(camera, CaptureError))
     for frame, (pair, camera) in enumerate(zip(pairs, chosen, strict=True)):
         picture = pair.color or pair.depth or path
-        load: Callable[[str], Capture] = partial(_load, pair, frame, camera, options)
+        load = partial(pair.load, frame, camera, options)
         files = [pair.color, pair.depth, getattr(camera, "path", None)]
         yield picture.stem, frame, load, picture, partial(list, filter(None, files))
 
@@ -217,40 +240,10 @@ def open_pair_file(path: Path, options: ReadOptions) -> CaptureSource:
     """
     suffix = path.suffix.lower()
     if suffix not in COLOR_SUFFIXES or options.depth is None:
-        raise CaptureError(
-            "a colour picture alone has no distances"
-            if suffix in COLOR_SUFFIXES
-            else f"'{suffix}' files are not captures",
-            source=path,
-            remedy="name a colour picture with its depth picture, or a capture folder",
-        )
+        fault = "a colour picture alone has no distances"
+        fault = fault if suffix in COLOR_SUFFIXES else f"'{suffix}' files are not captures"
+        remedy = "name a colour picture with its depth picture, or a capture folder"
+        raise CaptureError(fault, source=path, remedy=remedy)
     camera_file = read_camera_file(options.intrinsics) if options.intrinsics else None
     pairs = [Pair(path, options.depth)]
     return CaptureSource.listed(path, "pair", _open_pairs(path, pairs, options, camera_file))
-
-
-def _load(
-    pair: Pair, frame: int, camera: CameraFile | CaptureError, options: ReadOptions, name: str
-) -> Capture:
-    if pair.color is None or pair.depth is None:
-        raise CaptureError(
-            "has no colour picture of a matching name"
-            if pair.color is None
-            else "has no depth picture of a matching name",
-            source=pair.color or pair.depth,
-            remedy="put it beside this one",
-        )
-    if isinstance(camera, CaptureError):
-        raise camera
-    return frame_capture(
-        read_color(pair.color),
-        partial(read_depth, pair.depth),
-        None,
-        camera,
-        options,
-        source=pair.color,
-        depth_source=pair.depth,
-        name=name,
-        frame=frame,
-        provenance={"reader": "pair", "depth": str(pair.depth), "intrinsics": str(camera.path)},
-    )

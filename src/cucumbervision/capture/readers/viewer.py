@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -32,16 +32,6 @@ _RAW, _PICTURE, _TABLE = "_Depth.raw", "_Depth.png", "_Depth_metadata.csv"
 _YEAR_2001_MS = 1e12
 _COLOR, _COLOR_TABLE = "_Color.png", "_Color_metadata.csv"
 _ENDINGS = (_COLOR, _RAW, _TABLE, _COLOR_TABLE, _PICTURE)
-
-
-@dataclass(frozen=True)
-class _Snapshot:
-    """Metadata of one frame: size, intrinsics, number and time."""
-
-    intrinsics: Intrinsics
-    format: str
-    frame: int
-    timestamp_s: float | None
 
 
 def find_snapshots(folder: Folder) -> CaptureLister | None:
@@ -84,55 +74,72 @@ def _open_snapshots(
                 source=path if camera is None else camera.path,
                 remedy="give an intrinsics file with the colour camera and 'depth_to_color'",
             )
-        base = path / name
-        files = partial(_files, base, camera)
+        snapshot = _Snapshot(path / name, camera, options)
         try:
-            _require_raw(base)
-            table = _read_metadata(base.with_name(base.name + _TABLE), Stream.DEPTH)
+            frame = snapshot.table().frame
         except CaptureError as error:
-            yield base.name, 0, partial(fail, error), base, files
+            yield snapshot.base.name, 0, partial(fail, error), snapshot.base, snapshot.parts
         else:
-            load = partial(_load, base, table, camera, options)
-            yield base.name, table.frame, load, base, files
+            yield snapshot.base.name, frame, snapshot.load, snapshot.base, snapshot.parts
 
 
-def _files(base: Path, camera_file: CameraFile) -> list[Path]:
-    files = (base.with_name(base.name + ending) for ending in _ENDINGS[:4])
-    return [*(file for file in files if file.is_file()), camera_file.path]
+@dataclass(frozen=True)
+class _Snapshot:
+    """Files of one snapshot, by their common beginning."""
 
+    base: Path
+    camera_file: CameraFile
+    options: ReadOptions
 
-def _require_raw(base: Path) -> None:
-    raw, picture = base.with_name(base.name + _RAW), base.with_name(base.name + _PICTURE)
-    if not raw.is_file() and picture.is_file():
-        raise DepthError(
-            "is the Viewer's colourised picture of depth, which has no distances",
-            source=picture,
-            remedy=f"export the snapshot with its {raw.name}",
+    def _file(self, ending: str) -> Path:
+        return self.base.with_name(self.base.name + ending)
+
+    def parts(self) -> list[Path | bytes]:
+        """Return its files."""
+        files = (self._file(ending) for ending in _ENDINGS[:4])
+        return [*(file for file in files if file.is_file()), self.camera_file.path]
+
+    def table(self) -> _Table:
+        """Read its metadata; refuse a snapshot without raw depth."""
+        raw, picture = self._file(_RAW), self._file(_PICTURE)
+        if not raw.is_file() and picture.is_file():
+            raise DepthError(
+                "is the Viewer's colourised picture of depth, which has no distances",
+                source=picture,
+                remedy=f"export the snapshot with its {raw.name}",
+            )
+        return _read_metadata(self._file(_TABLE), Stream.DEPTH)
+
+    def load(self, name: str) -> Capture:
+        """Read the snapshot."""
+        table, raw, color_table = self.table(), self._file(_RAW), self._file(_COLOR_TABLE)
+        own = _read_metadata(color_table, Stream.COLOR) if color_table.is_file() else None
+        return frame_capture(
+            read_color(self._file(_COLOR)),
+            partial(_read_raw, raw, table),
+            own and own.intrinsics,
+            self.camera_file,
+            self.options,
+            source=raw,
+            depth_source=raw,
+            depth_camera=table.intrinsics,
+            name=name,
+            frame=table.frame,
+            timestamp_s=table.timestamp_s,
+            provenance={"reader": "viewer", "intrinsics": str(self.camera_file.path)},
         )
 
 
-def _load(
-    base: Path, table: _Snapshot, camera_file: CameraFile, options: ReadOptions, name: str
-) -> Capture:
-    raw_path = base.with_name(base.name + _RAW)
-    own_path = base.with_name(base.name + _COLOR_TABLE)
-    return frame_capture(
-        read_color(base.with_name(base.name + _COLOR)),
-        partial(_read_raw, raw_path, table),
-        _read_metadata(own_path, Stream.COLOR).intrinsics if own_path.is_file() else None,
-        camera_file,
-        options,
-        source=raw_path,
-        depth_source=raw_path,
-        depth_camera=table.intrinsics,
-        name=name,
-        frame=table.frame,
-        timestamp_s=table.timestamp_s,
-        provenance={"reader": "viewer", "intrinsics": str(camera_file.path)},
-    )
+class _Table(NamedTuple):
+    """Metadata of one picture: size, intrinsics, number and time."""
+
+    intrinsics: Intrinsics
+    format: str
+    frame: int
+    timestamp_s: float | None
 
 
-def _read_metadata(path: Path, stream: Stream) -> _Snapshot:
+def _read_metadata(path: Path, stream: Stream) -> _Table:
     """Read the metadata file of a picture from RealSense Viewer.
 
     Parameters
@@ -170,20 +177,15 @@ def _read_metadata(path: Path, stream: Stream) -> _Snapshot:
         raise IntrinsicsError(error.message, source=path, remedy="export it again") from None
     # A hardware clock starts with the camera, not at the epoch.
     time_s = milliseconds / 1000 if milliseconds > _YEAR_2001_MS else None
-    return _Snapshot(intrinsics, values.get("format", ""), number, time_s)
+    return _Table(intrinsics, values.get("format", ""), number, time_s)
 
 
-def _read_raw(path: Path, table: _Snapshot) -> np.ndarray:
+def _read_raw(path: Path, table: _Table) -> np.ndarray:
     width, height = table.intrinsics.size
-    data = read_bytes(path)
+    data, remedy = read_bytes(path), "export the snapshot again, with depth as Z16"
     if table.format and table.format.upper() != "Z16":
-        raise DepthError(
-            f"holds {table.format}, not Z16", source=path, remedy="export the depth stream as Z16"
-        )
+        raise DepthError(f"holds {table.format}, not Z16", source=path, remedy=remedy)
     if len(data) != 2 * width * height:
-        raise DepthError(
-            f"has {len(data)} bytes, but {width}x{height} of 16 bits are {2 * width * height}",
-            source=path,
-            remedy="export the snapshot again",
-        )
+        size = f"{width}x{height} of 16 bits are {2 * width * height}"
+        raise DepthError(f"has {len(data)} bytes, but {size}", source=path, remedy=remedy)
     return np.frombuffer(data, "<u2").reshape(height, width)

@@ -42,15 +42,6 @@ def test_a_recording_is_refused_with_what_to_do(tmp_path: Path) -> None:
     assert "round add" in faults(got)["walk.BAG"]
 
 
-def test_what_comes_from_one_sender_stays_in_one_folder(
-    tmp_path: Path, native_zip: bytes, files_in: Callable[[Path], list[str]]
-) -> None:
-    got = send(tmp_path, WALK__zip=native_zip)
-    names = files_in(got.folder)
-    assert len(names) == 10  # four of each capture, README.txt, and what a Mac adds
-    assert "0000/row 3/1/capture.json" in names
-
-
 def test_loose_pairs_are_matched_by_name_and_go_by_it(
     tmp_path: Path, color_jpg: bytes, depth_png: bytes, intrinsics_json: bytes
 ) -> None:

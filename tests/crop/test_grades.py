@@ -85,12 +85,6 @@ def test_where_the_size_is_not_known_no_mass_nor_class_of_it_is_given(flag: str)
     assert not any("weight" in missing or "volume" in missing for missing in graded.missing)
 
 
-def test_light_fruit_is_in_no_class() -> None:
-    graded = grade(replace(SOUND, volume_m3=0.249 / 960), STRICT)
-    assert (graded.verdict, graded.name) == (GradeStatus.NO_CLASS, "no class")
-    assert graded.rules[0].startswith("too light: about 249 g, at least 250 g required (Reg")
-
-
 def test_weight_is_a_remark_where_the_profile_says_so() -> None:
     graded = grade(replace(SOUND, volume_m3=0.249 / 960), LONG)
     assert (graded.verdict, graded.name) == (GradeStatus.IN_CLASS, "I")
@@ -292,18 +286,6 @@ def test_row_of_a_table_is_read_with_its_calibration() -> None:
     graded = grade(traits, LONG)
     assert graded.verdict is GradeStatus.IN_CLASS
     assert "centreline length 26.0 cm" in graded.rules[0]  # the calibrated one
-
-
-def test_row_with_a_raw_length_alone_is_missing_its_thread() -> None:
-    row = {
-        "length_cm": 25.2,
-        "length_kind": "surface-chord",
-        "centreline_cm": None,
-        "interval_low_cm": 24.0,
-        "interval_high_cm": 26.0,
-        "interval_of": "thread",
-    }
-    assert grade(GradingTraits.from_row(row), LONG).verdict is GradeStatus.MISSING
 
 
 def test_ends_and_median_are_the_intervals_quantiles() -> None:

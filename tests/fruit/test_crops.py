@@ -26,12 +26,6 @@ def _crop(mask: np.ndarray[tuple[int, int], np.dtype[np.bool_]], **depth: object
     return crop
 
 
-def test_points_of_the_crop_and_of_the_picture_are_inverse() -> None:
-    crop = _crop(_ellipse((300, 200), (150, 30), 35))
-    points = np.random.default_rng(1).uniform(0, 200, (20, 2))
-    np.testing.assert_allclose(crop.to_crop(crop.to_picture(points)), points, atol=1e-9)
-
-
 def test_the_axis_of_the_mask_lies_level_in_the_middle() -> None:
     crop = _crop(_ellipse((300, 200), (150, 30), 35))
     ends = np.array([300, 200]) + 150 * np.array([[-1], [1]]) * np.array(

@@ -37,13 +37,6 @@ def masks_of(instances: Sequence[Instance]) -> set[bytes]:
     return {i.detector_mask.tobytes() for i in instances if i.detector_mask is not None}
 
 
-def test_two_boxes_of_one_fruit_are_one() -> None:
-    # Shifted by 6 of 100 and as wide: IoU 94/106.
-    a, b = found(bar(100, 80, 100, 20), 0.9), found(bar(106, 80, 100, 20), 0.8)
-    (instance,) = merge_instances([b, a])
-    assert instance.confidence == 0.9
-
-
 def test_a_box_in_a_box_leaves_the_whole_with_the_better_score() -> None:
     whole, part = bar(100, 80, 120, 20), bar(80, 80, 50, 20)
     (instance,) = merge_instances([found(part, 0.9), found(whole, 0.5)])

@@ -311,12 +311,6 @@ def test_four_corners_of_a_rectangle_are_a_box(tmp_path: Path, corners: list[flo
     assert fruit.box.tolist() == [min(xs) - 0.5, min(ys) - 0.5, max(xs) - 0.5, max(ys) - 0.5]
 
 
-def test_an_outline_with_a_fifth_corner_is_an_outline(tmp_path: Path) -> None:
-    outline = [2, 1, 12, 1, 13, 3, 12, 4, 2, 4]
-    (fruit,) = get(coco(tmp_path / "c.json", {"segmentation": [outline]})).instances
-    assert fruit.mask is not None
-
-
 def test_names_of_a_mac_are_those_of_others(tmp_path: Path) -> None:
     # A Mac writes u and a combining diaeresis, others the single letter.
     mac, other = "su\u0308d/su\u0308d_1", "s\u00fcd/s\u00fcd_1"

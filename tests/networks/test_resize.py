@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from cucumbervision.networks.resize import (
     fit,
     mask_from_logits,
-    points_to_sam,
     prepare_picture,
     rows_needed,
     scaled_size,
@@ -72,14 +71,6 @@ def test_grey_rows_lend_nothing_to_the_mask() -> None:
     assert not box.mask_back(logits[None], ONE, np.array([-0.5, -0.5, 63.5, 31.5])).any()
 
 
-@pytest.mark.parametrize(
-    ("size", "scaled"),
-    [((720, 1280), (576, 1024)), ((480, 640), (768, 1024)), ((1000, 3), (1024, 3))],
-)
-def test_longer_side_becomes_1024(size: tuple[int, int], scaled: tuple[int, int]) -> None:
-    assert scaled_size(*size) == scaled
-
-
 @pytest.mark.parametrize("size", [(576, 1024), (720, 1280), (300, 400)])
 def test_red_is_first_and_normalised_by_its_own_spread(size: tuple[int, int]) -> None:
     picture = np.full((*size, 3), (200, 100, 50), np.uint8)
@@ -104,12 +95,6 @@ def test_a_sliver_is_smoothed_along_its_length() -> None:
     picture[:, ::2] = 255
     row = prepare_picture(picture)[0, 0, 0, 1:-1] * 58.395 + 123.675
     np.testing.assert_allclose(row, 128, atol=1e-3)
-
-
-def test_edges_land_on_edges() -> None:
-    corners = np.array([[-0.5, -0.5], [479.5, 639.5]])
-    # 640 high becomes 1024, 480 wide becomes 768; the decoder adds half a pixel.
-    assert points_to_sam(corners, 640, 480).tolist() == [[-0.5, -0.5], [767.5, 1023.5]]
 
 
 def two_steps(logits: NDArray[np.float32], height: int, width: int) -> NDArray[np.float32]:

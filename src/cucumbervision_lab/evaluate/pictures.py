@@ -442,9 +442,7 @@ def detect_picture(
         seconds[name] = time.perf_counter() - start
         return detections
 
-    looks = (
-        None if networks.fruit is None else PictureLooks(networks.fruit, color, depth_m, focal_px)
-    )
+    looks = networks.fruit and PictureLooks(networks.fruit, color, depth_m, focal_px)
     segmented, posed = detect("segment", networks.segment), detect("pose", networks.pose)
     instances = merge_detections(
         segmented if networks.segment else None,

@@ -10,7 +10,7 @@ from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.fruit.instance import Instance, MaskSource
 from cucumbervision.methods.result import MethodName
-from cucumbervision.methods.selector import end_flags, measure_fruit
+from cucumbervision.methods.selector import end_doubts, measure_fruit
 
 BLOSSOM, STEM = 40, 240  # the keypoints' outermost columns: 200 px apart
 
@@ -24,6 +24,11 @@ def bar(left: int, right: int) -> NDArray[np.bool_]:
     mask = np.zeros((120, 320), bool)
     mask[50:71, left : right + 1] = True
     return mask
+
+
+def end_flags(mask: NDArray[np.bool_] | None, keypoints: NDArray[np.float64]) -> tuple[str, ...]:
+    *hidden, disagree = end_doubts(mask, keypoints)
+    return ("end-hidden",) * any(hidden) + ("ends-disagree",) * disagree
 
 
 @pytest.mark.parametrize(

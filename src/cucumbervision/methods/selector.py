@@ -48,10 +48,10 @@ _IN_SIGHT = 0.40
 _BEYOND = 0.10  # of the fruit's length: several times the error of a pose network at an end
 
 
-def end_flags(
+def end_doubts(
     mask: NDArray[np.bool_] | None, keypoints: NDArray[np.float64] | None
-) -> tuple[Flag, ...]:
-    """Return the flags of a fruit's ends from its keypoints.
+) -> tuple[bool, bool, bool]:
+    """Return whether the blossom end and the stem end are hidden, and keypoints and mask disagree.
 
     An end is hidden if its keypoint has a visibility below 0.40, or lies more than 10 % of the
     fruit's length beyond the mask, because the network expects the fruit to continue behind an
@@ -65,54 +65,21 @@ def end_flags(
         u, v in pixels and visibility, KP0 (blossom end) to KP4 (stem end). They are ignored if
         none is visible.
 
-    Returns
-    -------
-    tuple of Flag
-        'end-hidden', 'ends-disagree', both or none.
-
     Examples
     --------
     >>> mask = np.zeros((100, 200), bool)
     >>> mask[45:55, 20:140] = True
     >>> line = np.array([[u, 50.0, 1.0] for u in (20, 55, 90, 125, 160)])
-    >>> [str(flag) for flag in end_flags(mask, line)]
-    ['end-hidden']
-    >>> end_flags(mask, line * [0.85, 1, 1])
-    ()
+    >>> end_doubts(mask, line), end_doubts(mask, line * [0.85, 1, 1])
+    ((False, True, False), (False, False, False))
     """
     if keypoints is None or not (keypoints[:, 2] >= MIN_VISIBILITY).any():
-        return ()
-    reaches = _reaches(mask, keypoints[:, :2])
-    disagree = any(reach > _BEYOND for reach in reaches)
-    named = {Flag.END_HIDDEN: any(_hidden(keypoints, reaches)), Flag.ENDS_DISAGREE: disagree}
-    return tuple(flag for flag, holds in named.items() if holds)
-
-
-def hidden_ends(
-    mask: NDArray[np.bool_] | None, keypoints: NDArray[np.float64] | None
-) -> tuple[bool, bool]:
-    """Return whether the blossom end and the stem end are hidden, according to the keypoints.
-
-    Parameters as those of `end_flags`.
-
-    Examples
-    --------
-    >>> mask = np.zeros((100, 200), bool)
-    >>> mask[45:55, 20:140] = True
-    >>> hidden_ends(mask, np.array([[u, 50.0, 1.0] for u in (20, 55, 90, 125, 160)]))
-    (False, True)
-    """
-    if keypoints is None or not (keypoints[:, 2] >= MIN_VISIBILITY).any():
-        return False, False
-    return _hidden(keypoints, _reaches(mask, keypoints[:, :2]))
-
-
-def _hidden(keypoints: NDArray[np.float64], reaches: list[float]) -> tuple[bool, bool]:
-    unseen = keypoints[[0, -1], 2] < _IN_SIGHT
+        return False, False, False
     # No reaches for an empty mask or coincident keypoints.
-    is_short = [reach < -_BEYOND for reach in reaches] or [False, False]
-    first, last = (bool(u) or b for u, b in zip(unseen, is_short, strict=True))
-    return first, last
+    reaches = _reaches(mask, keypoints[:, :2]) or [0.0, 0.0]
+    unseen = keypoints[[0, -1], 2] < _IN_SIGHT
+    blossom, stem = (bool(u) or r < -_BEYOND for u, r in zip(unseen, reaches, strict=True))
+    return blossom, stem, max(reaches) > _BEYOND
 
 
 def _reaches(mask: NDArray[np.bool_] | None, line: NDArray[np.float64]) -> list[float]:
@@ -316,10 +283,12 @@ def measure_fruit(
     distance_m, fill = _depth_of(capture, instance.box, mask)
     if chosen is None:
         choice = Choice.NO_DEPTH if distance_m is None else Choice.NOTHING
-    flags += _flags(capture, instance, mask, chosen, stem_confidence)
+    blossom_hidden, stem_hidden, disagree = end_doubts(mask, instance.keypoints)
+    hidden = blossom_hidden, stem_hidden
+    by_keypoints = {Flag.END_HIDDEN: any(hidden), Flag.ENDS_DISAGREE: disagree}
+    flags += _flags(capture, instance, mask, chosen, stem_confidence, by_keypoints)
     if any(measurement.error is not None for measurement in measurements.values()):
         flags.append(Flag.PLUGIN_FAILED)
-    hidden = hidden_ends(mask, instance.keypoints)
     place_pose = partial(fruit_pose, cut_beyond_m=cut_beyond_m, scale_known=scale_known)
     pose = None if chosen is None else place_pose(chosen, stem_confidence, hidden, capture)
     fruit = Fruit(
@@ -344,6 +313,7 @@ def _flags(
     mask: NDArray[np.bool_] | None,
     chosen: Measurement | None,
     stem_confidence: float,
+    by_keypoints: Mapping[Flag, bool],
 ) -> list[Flag]:
     """Return what is flagged; `stem_confidence` is that of the ends, along the chosen path."""
     flags = []
@@ -351,7 +321,7 @@ def _flags(
         flags.append(Flag.CUT_BY_FRAME)
     if chosen is not None and chosen.fit is not None:
         flags.extend(chosen.fit.flags)
-    flags.extend(flag for flag in end_flags(mask, instance.keypoints) if flag not in flags)
+    flags.extend(flag for flag, holds in by_keypoints.items() if holds and flag not in flags)
     if mask is not None:
         focal_px = capture.intrinsics.fx_px
         flags.extend(depth_doubts(capture.depth_m, mask, focal_px, capture.color))

@@ -225,11 +225,15 @@ def label_file(instances: str) -> InstanceFile | None:
     InstancesError
         If it cannot be read.
     """
+    if (
+        instances in INSTANCE_SOURCES
+        or instances in plugins("detectors")
+        or Path(instances).suffix.lower() == ".onnx"
+    ):
+        return None
     from cucumbervision.fruit.label_files import read_instances
 
-    named = instances in INSTANCE_SOURCES or instances in plugins("detectors")
-    is_network = Path(instances).suffix.lower() == ".onnx"
-    return None if named or is_network else read_instances(instances)
+    return read_instances(instances)
 
 
 def labelled_once(

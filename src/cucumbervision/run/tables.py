@@ -60,10 +60,9 @@ class Summary:
         Number of captures and of fruit, including fruit without a length.
     lengths_cm : array of float
         Lengths that are neither lower bounds nor unknown.
-    lower_bounds_cm : array of float
-        Lower bounds of fruit that continue out of sight.
-    unknown_cm : array of float
-        Lengths of which nothing is known (`flags.is_length_unknown`).
+    lower_bounds, unknown : int
+        Number of lower bounds of fruit that continue out of sight, and of lengths of which nothing
+        is known (`flags.is_length_unknown`).
     refused_cm : list of float
         Lengths of fruit of implausible size.
     too_large : int
@@ -91,8 +90,8 @@ class Summary:
     captures: int = 0
     fruit: int = 0
     lengths_cm: array[float] = field(default_factory=lambda: array("d"))
-    lower_bounds_cm: array[float] = field(default_factory=lambda: array("d"))
-    unknown_cm: array[float] = field(default_factory=lambda: array("d"))
+    lower_bounds: int = 0
+    unknown: int = 0
     refused_cm: list[float] = field(default_factory=list)
     too_large: int = 0
     methods: Counter[str] = field(default_factory=Counter)
@@ -106,7 +105,7 @@ class Summary:
     @property
     def measured(self) -> int:
         """Number of fruit with a length."""
-        return len(self.lengths_cm) + len(self.lower_bounds_cm) + len(self.unknown_cm)
+        return len(self.lengths_cm) + self.lower_bounds + self.unknown
 
     def add(
         self,
@@ -121,7 +120,12 @@ class Summary:
             self.fruit += 1
             flags = str(row.get("flags") or "").split()
             if row["length_cm"] is not None:
-                self._lengths_of_kind(flags).append(float(row["length_cm"]))
+                if is_lower_bound(flags):
+                    self.lower_bounds += 1
+                elif is_length_unknown(flags):
+                    self.unknown += 1
+                else:
+                    self.lengths_cm.append(float(row["length_cm"]))
             self.methods[str(row["method"] or "")] += 1
             refused = row.get("reason")
             large = Flag.DEPTH_UNIT in flags
@@ -134,11 +138,6 @@ class Summary:
             self.flags.update(flags)
             self.simulated = self.simulated or bool(row["simulated"])
         self.models += [model for model in models if model not in self.models]
-
-    def _lengths_of_kind(self, flags: list[str]) -> array[float]:
-        if is_lower_bound(flags):
-            return self.lower_bounds_cm
-        return self.unknown_cm if is_length_unknown(flags) else self.lengths_cm
 
     def doubts(self) -> list[str]:
         """Return one line for each doubt about the data, with the remedy."""
@@ -197,8 +196,8 @@ class Summary:
             ("Captures", self.captures),
             ("Fruit", self.fruit),
             ("Fruit measured", self.measured),
-            ("of these only in part (lower bounds)", len(self.lower_bounds_cm)),
-            ("of these uncertain (left out of the statistics)", len(self.unknown_cm)),
+            ("of these only in part (lower bounds)", self.lower_bounds),
+            ("of these uncertain (left out of the statistics)", self.unknown),
             ("Inputs that could not be read", failures),
         ]
         if self.simulated:

@@ -8,7 +8,7 @@ import sys
 import time
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias, TypeVar
 
 import typer
 
@@ -21,7 +21,7 @@ from cucumbervision.cli.choices import (
     measure_options,
     takes,
 )
-from cucumbervision.errors import CameraError, MissingExtraError
+from cucumbervision.errors import CameraError, CucumberVisionError, MissingExtraError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -29,10 +29,36 @@ if TYPE_CHECKING:
     from pydantic import BaseModel
 
     from cucumbervision.capture.camera import Recorded
-    from cucumbervision.errors import CucumberVisionError
     from cucumbervision.run.measurer import Failure
     from cucumbervision.run.options import MeasureOptions
     from cucumbervision.stream.fruit_stream import StreamedFrame
+
+
+T = TypeVar("T")
+
+
+def _without_failures(
+    arrivals: Iterator[T | Failure | CucumberVisionError], failures: list[Failure]
+) -> Iterator[T]:
+    """Yield what arrives until Ctrl-C or the loss of the camera; failures are printed and kept."""
+    from cucumbervision.cli.console import plain_console
+    from cucumbervision.run.measurer import Failure
+
+    errors = plain_console(stderr=True)
+    try:
+        for arrival in arrivals:
+            if isinstance(arrival, Failure | CucumberVisionError):
+                if isinstance(arrival, CucumberVisionError):
+                    arrival = Failure.of(arrival, arrival.source)
+                failures.append(arrival)
+                errors.print(f"failed {arrival.message}", soft_wrap=True)
+            else:
+                yield arrival
+    except KeyboardInterrupt:
+        pass
+    except CameraError as error:
+        failures.append(Failure.of(error, error.source))
+        errors.print(f"ended {error}", soft_wrap=True)
 
 
 def print_stream(
@@ -47,18 +73,13 @@ def print_stream(
     `most_frames` frames, on Ctrl-C, and when its output is closed.
     """
     from cucumbervision.cli.console import plain_console
-    from cucumbervision.run.measurer import Failure, exit_code
+    from cucumbervision.run.measurer import exit_code
 
-    errors = plain_console(stderr=True)
     failures: list[Failure] = []
     count = dropped = 0
     began_s, busy_s = time.perf_counter(), time.process_time()
     try:
-        for frame in frames:
-            if isinstance(frame, Failure):
-                failures.append(frame)
-                errors.print(f"failed {frame.message}", soft_wrap=True)
-                continue
+        for frame in _without_failures(frames, failures):
             if not count:
                 # The networks are loaded and warm by now.
                 began_s, busy_s = time.perf_counter(), time.process_time()
@@ -67,18 +88,13 @@ def print_stream(
             count, dropped = count + 1, dropped + frame.dropped
             if count == most_frames:
                 break
-    except KeyboardInterrupt:
-        pass
     except BrokenPipeError:
         # Otherwise Python flushes it again at exit and prints an error.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    except CameraError as error:
-        failures.append(Failure.of(error, error.source))
-        errors.print(f"ended {error}", soft_wrap=True)
     if not quiet and count > 1:
         elapsed_s = time.perf_counter() - began_s
         each_ms = 1e3 * (time.process_time() - busy_s) / (count - 1)
-        errors.print(
+        plain_console(stderr=True).print(
             f"{count} frames, {dropped} dropped, {(count - 1) / elapsed_s:.1f} frames/s after the "
             f"first, {each_ms:.0f} ms of processor time each"
         )
@@ -108,31 +124,17 @@ def print_recording(
 ) -> int:
     """Print a line for each written capture, and return the exit code."""
     from cucumbervision.cli.console import plain_console
-    from cucumbervision.run.measurer import Failure, exit_code
+    from cucumbervision.run.measurer import exit_code
 
-    errors, lines = plain_console(stderr=True), plain_console(quiet=quiet)
-    failures: list[Failure] = []
-    count = 0
-
-    def failed(error: CucumberVisionError) -> None:
-        failures.append(Failure.of(error, error.source))
-        errors.print(f"failed {error}", soft_wrap=True)
-
-    try:
-        for recording in recorded:
-            if isinstance(recording, Exception):
-                failed(recording)
-                continue
-            count += 1
-            quality = recording.quality
-            distance = "" if quality.distance_m is None else f", {100 * quality.distance_m:.0f} cm"
-            fill = f"depth {100 * quality.fill:.0f} %{distance}"
-            lines.print(f"{recording.path.parent}  {fill}  {quality.advice}", soft_wrap=True)
-    except KeyboardInterrupt:
-        pass
-    except CameraError as error:
-        failed(error)
+    lines, failures, count = plain_console(quiet=quiet), list["Failure"](), 0
+    for recording in _without_failures(recorded, failures):
+        count += 1
+        quality = recording.quality
+        distance = "" if quality.distance_m is None else f", {100 * quality.distance_m:.0f} cm"
+        fill = f"depth {100 * quality.fill:.0f} %{distance}"
+        lines.print(f"{recording.path.parent}  {fill}  {quality.advice}", soft_wrap=True)
     if not quiet:
+        errors = plain_console(stderr=True)
         errors.print(f"{count} captures written, {len(failures)} failed")
     return exit_code(count, failures)
 

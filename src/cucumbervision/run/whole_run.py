@@ -649,15 +649,15 @@ def deciding_sha256(
 ) -> str:
     """Return the hash of all that decides lengths besides the captures' own files.
 
-    These are the content of the code and its tables, of the networks in use, and of the files that
-    the options name; the options; the versions of libraries; and the plug-ins.
+    These are the content of the code and its tables, of the networks, and of the files that the
+    options name; the options; the versions of libraries; and the plug-ins.
 
     Parameters
     ----------
     options : MeasureOptions
         Options of the run.
     registry : Registry
-        The networks in use.
+        The networks.
     added : sequence of Plugin
         Plug-ins of other packages. One without a version may have changed: no hash is the same.
     site : SiteCalibration, optional
@@ -681,24 +681,17 @@ def deciding_sha256(
     values = options.as_json()
     for name in ("intrinsics", "depth"):  # files of the capture
         del values["reading"][name]
+    named = plugins("detectors") | plugins("segmenters")
+    added = [*added, *(named[n] for n in (options.instances, options.segmenter) if n in named)]
     files = [options.pose] if options.pose else []
-    detectors, segmenters = plugins("detectors"), plugins("segmenters")
-    if options.instances in detectors:
-        added = (*added, detectors[options.instances])
-    elif options.instances not in INSTANCE_SOURCES:
+    if options.instances not in (*INSTANCE_SOURCES, *named):
         files.append(Path(options.instances))
-    tasks = ("segment", "pose", "fruit", "look")
-    networks = [model.name for model in map(registry.default, tasks) if model is not None]
-    if options.segmenter in segmenters:
-        added = (*added, segmenters[options.segmenter])
-    elif options.segmenter != "none" and registry.default("prompted-mask") is not None:
-        networks.append(registry.segmenter(options.segmenter).name)
     if not all(plugin.version for plugin in added):
         values["run"] = uuid.uuid4().hex
     values |= {
         "calibration": site and site.sha256,
         "files": [_path_sha256(path) for path in files],
-        "networks": [registry.hashes(name) for name in networks],
+        "networks": [registry.hashes(model.name) for model in registry.models],
         "plugins": [plugin.as_json() for plugin in added],
         "code": code_sha256(),
         "versions": installed_versions(),

@@ -9,11 +9,14 @@ import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import jsonschema
 import pytest
+from typer.testing import CliRunner
 
 from cucumbervision.capture.camera import DepthQuality, Recorded
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
+from cucumbervision.cli.app import app
 from cucumbervision.cli.live import clock, enter_keys, print_recording, print_stream
 from cucumbervision.errors import CameraError
 from cucumbervision.run.measurer import Failure, Measurer
@@ -131,3 +134,15 @@ def test_without_a_camera_the_list_says_what_to_do(run: Run) -> None:
         2,
         "No RealSense camera is connected; plug a D4xx into a USB 3 port\n",
     )
+
+
+@pytest.mark.parametrize(
+    ("kind", "holds"), [("stream", "fruit"), ("measure", "captures"), ("detect", "pictures")]
+)
+def test_a_schema_is_one_and_names_its_version(kind: str, holds: str) -> None:
+    schema = json.loads(CliRunner().invoke(app, ["schema", kind]).output)
+    jsonschema.Draft202012Validator.check_schema(schema)
+    assert schema["properties"]["version"]["const"] == 1
+    assert holds in schema["required"]
+    described = [one.get("description", "") for one in schema["$defs"].values()]
+    assert not [text for text in described if "\n" in text]

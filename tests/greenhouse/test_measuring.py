@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 from demo_captures import SCENES, place
-from tests.accuracy.test_calibration_file_calibrated import entry, site
+from tests.accuracy.test_calibration_file import entry, site
 from tests.greenhouse.conftest import add_one
 
 from cucumbervision.accuracy.calibration_file import write_site_calibration

@@ -1,9 +1,24 @@
+"""Traits of other packages that fail, or do what they should not."""
+
 from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from cucumbervision.methods.traits import tube_traits
+from cucumbervision.capture.frames import Capture
+from cucumbervision.capture.readers import open_source
+from cucumbervision.capture.source import example_captures
+from cucumbervision.errors import PluginError
+from cucumbervision.fruit.instance import Instance
+from cucumbervision.methods.flags import Flag
+from cucumbervision.methods.result import MethodName
+from cucumbervision.methods.traits import TableTrait, tube_traits
+from cucumbervision.run.measurer import CaptureResult, Measurer
+from cucumbervision.run.options import MeasureOptions, PlugIns
 from cucumbervision_lab.scenes.bodies import arc_tube, bent_tube, rotation
 
 
@@ -63,3 +78,141 @@ def test_radii_below_nothing_are_no_body() -> None:
     traits = tube_traits(np.stack([x, 0 * x, 0 * x + 0.5], axis=1), radii)
     assert np.isfinite([traits.lengths.thread_m, traits.volume_m3]).all()
     assert (traits.diameter_m >= 0).all()
+
+
+OPTIONS = MeasureOptions(instances="dataset", segmenter="none", methods=(MethodName.M1,))
+
+
+@pytest.fixture
+def capture() -> Capture:
+    return next(iter(open_source(example_captures() / "simulated-row-b"))).load()
+
+
+def of_another_package(function: Callable[..., Any]) -> Callable[..., Any]:
+    function.__module__ = "another_package"
+    return function
+
+
+def giving(answer: Any) -> Callable[..., Any]:
+    def give(*_: object) -> Any:
+        if isinstance(answer, BaseException):
+            raise answer
+        return answer
+
+    return of_another_package(give)
+
+
+def measured(capture: Capture, *traits: TableTrait) -> CaptureResult:
+    return Measurer(OPTIONS, plug_ins=PlugIns(traits=traits)).measure(capture)
+
+
+@pytest.mark.parametrize("answer", ["soft", 1 + 2j, float("inf"), SystemExit(0)])
+def test_what_is_no_finite_number_is_a_failure_of_its_own(answer: Any, capture: Capture) -> None:
+    result = measured(capture, TableTrait("firmness", "", "says", giving(answer)))
+    assert len(result.fruit) == 2
+    for fruit in result.fruit:
+        assert fruit.length is not None
+        assert Flag.PLUGIN_FAILED in fruit.flags
+        assert fruit.trait_values["firmness"].value is None
+    assert "firmness" in result.failures[0].message
+
+
+@pytest.mark.parametrize("name", ["length_cm", "capture", "m1_cm", "skin_yellow_share"])
+def test_a_column_that_is_taken_is_said(name: str, capture: Capture) -> None:
+    trait = TableTrait(name, "", "says", giving(7.0))
+    measurer = Measurer(OPTIONS, plug_ins=PlugIns(traits=(trait,)))
+    (fault,) = measurer.plugged.faults
+    assert "has a name that is taken" in str(fault)
+    assert 7.0 not in measurer.measure(capture).rows()[0].values()
+
+
+def test_two_traits_of_one_name_are_not_mixed(capture: Capture) -> None:
+    traits = tuple(TableTrait("x", "", "says", giving(value)) for value in (7.0, 8.0))
+    measurer = Measurer(OPTIONS, plug_ins=PlugIns(traits=traits))
+    assert len(measurer.plugged.faults) == 1
+    assert measurer.measure(capture).rows()[0]["x"] == 7.0
+
+
+def test_capitals_in_a_column_are_refused() -> None:
+    trait = TableTrait("Length_CM", "", "says", giving(7.0))
+    (fault,) = Measurer(OPTIONS, plug_ins=PlugIns(traits=(trait,))).plugged.faults
+    assert "lower case" in str(fault)
+
+
+def detected(capture: Capture, detector: Callable[..., Any], segmenter: Any = None) -> Any:
+    plug_ins = PlugIns(detector=of_another_package(detector), segmenter=segmenter)
+    return Measurer(OPTIONS, plug_ins=plug_ins).measure(capture)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"keypoints": np.ones((4, 3))}, "keypoints"),
+        ({"keypoints": np.full((5, 3), 1e300)}, "keypoints"),
+        ({"mask": np.zeros((480, 848), bool)}, "no pixel"),
+        ({"confidence": np.nan}, "confidence"),
+    ],
+)
+def test_a_fruit_that_is_none_is_left_out_and_the_others_stay(
+    changes: dict[str, Any], words: str, capture: Capture
+) -> None:
+    whole = [Instance.of_mask(mask) for mask in capture.masks]
+    result = detected(capture, giving([replace(whole[0], **changes), whole[1]]))
+    assert len(result.fruit) == 1
+    assert words in result.failures[0].message
+
+
+@pytest.mark.parametrize(
+    "changes", [{"box": "here"}, {"confidence": None}, {"confidence": np.ones(2)}]
+)
+def test_an_instance_of_no_numbers_names_its_detector(
+    changes: dict[str, Any], capture: Capture
+) -> None:
+    broken = replace(Instance.of_mask(capture.masks[0]), **changes)
+    with pytest.raises(PluginError, match="another_package"):
+        detected(capture, giving([broken]))
+
+
+def test_a_detector_may_draw_every_mask_into_one_array(capture: Capture) -> None:
+    buffer = np.zeros_like(capture.masks[0])
+
+    def detect(capture: Capture) -> Iterator[Instance]:
+        for mask in capture.masks:
+            buffer[:] = mask
+            yield replace(Instance.of_mask(mask), mask=buffer)
+
+    lengths = [fruit.length for fruit in detected(capture, detect).fruit]
+    assert lengths == [fruit.length for fruit in measured(capture).fruit]
+
+
+class Drawing:
+    """A segmenter that answers with the same for every fruit."""
+
+    def __init__(self, **changes: Any) -> None:
+        self.changes = changes
+
+    def segment(self, _color: Any, instances: Sequence[Instance]) -> list[Instance]:
+        return [replace(instance, **self.changes) for instance in instances]
+
+
+Drawing.__module__ = "another_package"
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"mask": None, "mask_failure": "too dark"}, {"mask": np.zeros((480, 848), bool)}],
+    ids=["words of its own", "empty"],
+)
+def test_a_segmenter_without_a_mask_is_a_flag(changes: dict[str, Any], capture: Capture) -> None:
+    boxes = [replace(Instance.of_mask(mask), mask=None) for mask in capture.masks]
+    result = detected(capture, giving(boxes), Drawing(**changes))
+    assert [fruit.mask for fruit in result.fruit] == [None, None]
+    assert all(Flag.SAM_MASK_EMPTY in fruit.flags for fruit in result.fruit)
+
+
+def test_probabilities_are_no_mask(capture: Capture) -> None:
+    boxes = [replace(Instance.of_mask(mask), mask=None) for mask in capture.masks]
+    probabilities = np.linspace(0.1, 0.9, 480 * 848).reshape(480, 848)
+    result = detected(capture, giving(boxes), Drawing(mask=probabilities))
+    assert [fruit.mask for fruit in result.fruit] == [None, None]
+    assert "not one" in result.failures[0].message

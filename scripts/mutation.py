@@ -29,7 +29,7 @@ def mutmut(*names: str) -> dict[str, int | None]:
 
 
 count, seed = map(int, sys.argv[1:3])
-names = sorted(mutmut("cucumbervision.tube.pixels.x_depth_across__mutmut_1"))
+names = sorted(mutmut("cucumbervision.tube.evidence.x_depth_across__mutmut_1"))
 sample = random.Random(seed).sample(names, min(count, len(names)))
 codes = mutmut(*sample)
 survivors = sorted(name for name in sample if codes[name] in (SURVIVED, UNTESTED, None))

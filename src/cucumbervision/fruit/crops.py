@@ -9,7 +9,6 @@ import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.fruit.masks import distances_inside, mask_pixels, mask_window
-from cucumbervision.tube.pixels import sample_color
 from cucumbervision.tube.shape import arc_positions
 
 if TYPE_CHECKING:
@@ -381,3 +380,56 @@ def crop_planes(
         planes[..., 3] = np.where(read, np.rint(127.5 + 127.5 * off / _DEPTH_RADII), 128)
         planes[..., 4] = np.where(read, 255, 0)
     return planes
+
+
+_PADDING_GREY = 114  # outside a picture, as the padding of network inputs
+
+
+def sample_color(
+    color_rgb: NDArray[np.uint8], points_px: NDArray[np.float64], step_px: float
+) -> NDArray[np.uint8]:
+    """Return the colours at some points, averaged over their spacing where that is wide.
+
+    Parameters
+    ----------
+    color_rgb : ndarray of uint8, shape (H, W, 3)
+        The picture.
+    points_px : ndarray of float64, shape (h, w, 2)
+        u, v of each pixel of the result; grey outside the picture.
+    step_px : float
+        Spacing of the points: above one pixel, the picture is shrunk to it first.
+
+    Returns
+    -------
+    ndarray of uint8, shape (h, w, 3)
+
+    Examples
+    --------
+    >>> picture = np.zeros((2, 4, 3), np.uint8)
+    >>> picture[:, 2:] = 200
+    >>> sample_color(picture, np.array([[[0.0, 0], [1.5, 0], [3, 0], [40, 0]]]), 1.0)[0, :, 0]
+    array([  0, 100, 200, 114], dtype=uint8)
+    """
+    import cv2
+
+    height, width = color_rgb.shape[:2]
+    along = points_px[..., 0], points_px[..., 1]  # a plane each: both at once take several times
+    lowest_px, highest_px = np.array([(plane.min(), plane.max()) for plane in along]).T
+    first_px = np.clip(np.floor(lowest_px) - 2, 0, (width - 1, height - 1)).astype(int)
+    end_px = np.clip(np.ceil(highest_px) + 3, first_px + 1, (width, height)).astype(int)
+    part = color_rgb[first_px[1] : end_px[1], first_px[0] : end_px[0]]
+    before = np.array([part.shape[1], part.shape[0]])
+    after = before
+    if step_px > 1:
+        after = np.maximum(np.rint(before / step_px), 1).astype(int)
+        part = np.asarray(cv2.resize(part, after.tolist(), interpolation=cv2.INTER_AREA), np.uint8)
+    places = ((points_px - first_px + 0.5) * (after / before) - 0.5).astype(np.float32)
+    sampled = cv2.remap(
+        part,
+        places[..., 0],
+        places[..., 1],
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_CONSTANT,
+        borderValue=(_PADDING_GREY,) * 3,
+    )
+    return np.asarray(sampled, np.uint8)

@@ -11,7 +11,7 @@ import numpy as np
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.fruit.masks import box_of_mask, distances_inside, mask_pixels, mask_window
 from cucumbervision.methods.flags import Flag
-from cucumbervision.tube.pixels import quick_median
+from cucumbervision.tube.evidence import quick_median
 from cucumbervision.tube.shape import principal_axis
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ import numpy as np
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.methods.depth_doubts import LEAST_FILL
 from cucumbervision.methods.result import HiddenLength
-from cucumbervision.tube.pixels import median_of
+from cucumbervision.tube.evidence import median_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

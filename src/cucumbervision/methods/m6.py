@@ -31,7 +31,14 @@ from cucumbervision.methods.result import (
 )
 from cucumbervision.methods.table import Region, TableMethod
 from cucumbervision.methods.traits import tube_traits
-from cucumbervision.tube.evidence import Evidence, end_overhangs, gaps
+from cucumbervision.tube.evidence import (
+    Evidence,
+    depth_across,
+    end_overhangs,
+    gaps,
+    median_of,
+    outline_cracks,
+)
 from cucumbervision.tube.fit import (
     TubeFitting,
     fit_shape,
@@ -40,7 +47,6 @@ from cucumbervision.tube.fit import (
     guess_shape,
     near_depths,
 )
-from cucumbervision.tube.pixels import depth_across, median_of, outline_cracks
 from cucumbervision.tube.shape import TubeShape, with_tips
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ import numpy as np
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.methods.result import LengthKind, Measurement, MethodName, Reason
 from cucumbervision.methods.table import GATE_M, Region, TableMethod, box_pixels, or_else
-from cucumbervision.tube.pixels import valid_median
+from cucumbervision.tube.evidence import valid_median
 from cucumbervision.tube.shape import (
     AlignedCloud,
     align_near,

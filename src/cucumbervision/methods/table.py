@@ -246,7 +246,7 @@ class Trait(Protocol):
 
 @dataclass(frozen=True)
 class TableMethod:
-    """A method, and what the table of methods says of it; a `protocols.Method`.
+    """A method, and what the table of methods says of it; a `Method`.
 
     Parameters
     ----------
@@ -296,7 +296,7 @@ class TableMethod:
 
     @classmethod
     def of(cls, method: str | Method) -> TableMethod:
-        """Return a method by its name, or any `protocols.Method` as one.
+        """Return a method by its name, or any `Method` as one.
 
         Raises
         ------

@@ -90,7 +90,7 @@ def tube_traits(centres_m: NDArray[np.float64], radii_m: NDArray[np.float64]) ->
 
 @dataclass(frozen=True)
 class TableTrait:
-    """A trait: a function with the column that it fills; a `protocols.Trait`.
+    """A trait: a function with the column that it fills; a `Trait`.
 
     Parameters
     ----------

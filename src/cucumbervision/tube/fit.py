@@ -16,11 +16,11 @@ from cucumbervision.tube.evidence import (
     Evidence,
     Gaps,
     ends_seen,
+    median_of,
     normal_equations,
     point_readings,
     ray_readings,
 )
-from cucumbervision.tube.pixels import median_of
 from cucumbervision.tube.shape import (
     BALLS,
     BEND_SEGMENTS,

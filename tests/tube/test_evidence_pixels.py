@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cucumbervision.tube.pixels import depth_across, outline_cracks, quick_median, valid_median
+from cucumbervision.tube.evidence import depth_across, outline_cracks, quick_median, valid_median
 
 
 def test_an_even_count_gives_the_mean_of_the_two_middle_values() -> None:

@@ -123,15 +123,8 @@ def add(
     from cucumbervision_greenhouse.rounds.fruit_table import round_doubts
     from cucumbervision_greenhouse.rounds.poses import read_poses
 
-    place = Place(
-        row=row,
-        side=side,
-        position_m=position,
-        spacing_m=spacing,
-        position_sd_m=position_sd,
-        sign=_sign(higher_to),
-        poses={} if poses is None else read_poses(poses),
-    )
+    lines = {} if poses is None else read_poses(poses)
+    place = Place(row, side, position, spacing, position_sd, _sign(higher_to), lines)
     with (
         opened_round(store, round_) as (opened, round_summary),
         progress_bar(Console(stderr=True, highlight=False)) as bar,

@@ -50,8 +50,10 @@ class StoredRow:
         Its stops with a position.
     views : RowViews
         Their detections with a place, rejected ones left out.
-    stop_keys, fruit_keys : tuple of str
-        Keys of both, in order.
+    taken : tuple of StopRecord
+        The stops, in order.
+    fruit : tuple of FruitRow
+        The detections, in order.
     sides : tuple of str
         Names of the sides: 0, and 1 where there is one.
     unplaced : int
@@ -61,8 +63,8 @@ class StoredRow:
     name: str
     stops: RowStops
     views: RowViews
-    stop_keys: tuple[str, ...]
-    fruit_keys: tuple[str, ...]
+    taken: tuple[StopRecord, ...]
+    fruit: tuple[FruitRow, ...]
     sides: tuple[str, ...]
     unplaced: int
 
@@ -93,11 +95,6 @@ class RoundContent:
     def rows(self) -> tuple[StoredRow, ...]:
         """Its rows as arrays, computed once."""
         return tuple(_load_rows(self))
-
-    @cached_property
-    def stop_of(self) -> Mapping[str, StopRecord]:
-        """Its stops by key."""
-        return {stop.key: stop for stop in self.stops}
 
     @cached_property
     def group_of(self) -> Mapping[str, str]:
@@ -156,9 +153,10 @@ def _load_rows(content: RoundContent) -> Iterator[StoredRow]:
     for stop in content.stops:
         stops[stop.row or ""].append(stop)
     views: dict[str, list[FruitRow]] = defaultdict(list)
+    keys = {stop.key for stop in content.stops}
     for view in content.views:
         # A stop may be saved meanwhile.
-        if view.verdict is not Verdict.REJECTED and view.stop_key in content.stop_of:
+        if view.verdict is not Verdict.REJECTED and view.stop_key in keys:
             views[view.row or ""].append(view)
     for name in sorted(stops):
         yield _row(name, stops[name], views[name])
@@ -186,29 +184,21 @@ def _row(name: str, stops: Sequence[StopRecord], fruit: Sequence[FruitRow]) -> S
     places = [
         (view, place) for view, place in offsets if view.stop_key in index and place is not None
     ]
-    row_stops = _row_stops(placed, sides, poses)
+    # A stop's pose gives the camera's height.
+    at_m, sd_m = np.zeros((len(placed), 3)), np.full((len(placed), 3), _CAMERA_SD_M)
+    at_m[:, ALONG] = [stop.position_m or 0.0 for stop in placed]
+    at_m[:, UP] = [poses[stop.key][UP, 3] for stop in placed]
+    sd_m[:, ALONG] = [stop.position_sd_m or MIDDLE_SD_M for stop in placed]
+    side = np.array([sides.index(stop.side or "") for stop in placed], np.int64)
     return StoredRow(
         name=name,
-        stops=row_stops,
-        views=_row_views(places, index, row_stops.side),
-        stop_keys=tuple(index),
-        fruit_keys=tuple(view.key for view, _ in places),
+        stops=RowStops(at_m, sd_m, side, np.array([_reach(x.camera) for x in placed], np.float64)),
+        views=_row_views(places, index, side),
+        taken=tuple(placed),
+        fruit=tuple(view for view, _ in places),
         sides=sides,
         unplaced=len(fruit) - len(places),
     )
-
-
-def _row_stops(
-    stops: Sequence[StopRecord], sides: tuple[str, ...], poses: Mapping[str, NDArray[np.float64]]
-) -> RowStops:
-    """Return stops with a position as arrays; a stop's pose gives the camera's height."""
-    at_m, sd_m = np.zeros((len(stops), 3)), np.full((len(stops), 3), _CAMERA_SD_M)
-    at_m[:, ALONG] = [stop.position_m or 0.0 for stop in stops]
-    at_m[:, UP] = [poses[stop.key][UP, 3] for stop in stops]
-    sd_m[:, ALONG] = [stop.position_sd_m or MIDDLE_SD_M for stop in stops]
-    side = np.array([sides.index(stop.side or "") for stop in stops], np.int64)
-    reach = np.array([_reach(stop.camera) for stop in stops], np.float64)
-    return RowStops(at_m, sd_m, side, reach)
 
 
 def _row_views(
@@ -249,13 +239,12 @@ def _length(view: FruitRow) -> tuple[float, float]:
     return length.value_m, max(length.relative_sd or UNKNOWN_SD, least_sd)
 
 
-def stored_merging(content: RoundContent, row: StoredRow) -> tuple[Ints, RowStops]:
+def stored_merging(row: StoredRow) -> tuple[Ints, RowStops]:
     """Return each view's fruit, and the stops, as a row was merged and saved."""
-    names = [content.group_of[key] for key in row.fruit_keys]
-    _, cluster = np.unique(np.array(names, dtype=str), return_inverse=True)
+    groups = np.array([view.group for view in row.fruit], dtype=str)
+    _, cluster = np.unique(groups, return_inverse=True)
     at_m, sd_m = row.stops.at_m.copy(), row.stops.sd_m.copy()
-    for k, key in enumerate(row.stop_keys):
-        stop = content.stop_of[key]
+    for k, stop in enumerate(row.taken):
         if stop.fitted_m is not None:
             at_m[k, ALONG], sd_m[k, ALONG] = stop.fitted_m, stop.fitted_sd_m or sd_m[k, ALONG]
     return cluster, replace(row.stops, at_m=at_m, sd_m=sd_m)
@@ -346,18 +335,17 @@ def _pooled(content: RoundContent) -> dict[str, tuple[float, float]]:
     Only of those that two or more views show whole, with lengths of one kind.
     """
     lengths: dict[str, tuple[float, float]] = {}
-    kind = {view.key: view.length and view.length.kind for view in content.views}
     for row in content.rows:
-        (cluster, _), views = stored_merging(content, row), row.views
+        (cluster, _), views = stored_merging(row), row.views
         order = np.argsort(cluster, kind="stable")
         for members in np.split(order, np.flatnonzero(np.diff(cluster[order])) + 1):
             measured = members[np.isfinite(views.length_m[members]) & ~views.partial[members]]
-            kinds = {kind[row.fruit_keys[k]] for k in measured.tolist()}
+            kinds = {row.fruit[k].length_kind for k in measured.tolist()}
             length = pooled_length(
                 views.length_m[members], views.length_sd[members], views.partial[members]
             )
             if length is not None and len(measured) > 1 and len(kinds) == 1:
-                lengths |= dict.fromkeys((row.fruit_keys[k] for k in members.tolist()), length)
+                lengths |= dict.fromkeys((row.fruit[k].key for k in members.tolist()), length)
     return lengths
 
 

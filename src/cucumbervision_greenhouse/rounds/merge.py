@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -56,9 +58,9 @@ def sweep(views: RowViews, i: Ints, j: Ints, ratio: Floats, cluster: Ints) -> In
     end, partner, end_ratio = end[order], partner[order], end_ratio[order]
     starts = np.searchsorted(end, np.arange(len(views) + 1))
     sizes = np.bincount(cluster, minlength=len(views)).astype(np.intp)
-    members = _members(views)
     free = np.flatnonzero(sizes == 0).tolist()
-    for capture_views in members:
+    for capture in np.unique(views.capture).tolist():
+        capture_views = np.flatnonzero(views.capture == capture)
         np.subtract.at(sizes, cluster[capture_views], 1)
         picked = np.concatenate(
             [np.arange(starts[k], starts[k + 1]) for k in capture_views.tolist()]
@@ -76,13 +78,6 @@ def sweep(views: RowViews, i: Ints, j: Ints, ratio: Floats, cluster: Ints) -> In
         free += emptied
         np.add.at(sizes, cluster[capture_views], 1)
     return cluster
-
-
-def _members(views: RowViews) -> list[Ints]:
-    order = np.argsort(views.capture, kind="stable")
-    ordered = views.capture[order]
-    cuts = np.flatnonzero(np.diff(ordered)) + 1
-    return [np.sort(part) for part in np.split(order, cuts) if len(part)]
 
 
 def _assign(capture_views: Ints, row: Ints, column: Ints, ratio: Floats, sizes: Ints) -> Ints:
@@ -109,16 +104,14 @@ def join_clusters(views: RowViews, i: Ints, j: Ints, ratio: Floats, cluster: Int
     Assigning one view at a time cannot do that: of four views, two pairs may have formed.
     """
     groups = {c: np.flatnonzero(cluster == c).tolist() for c in np.unique(cluster).tolist()}
-    apart = cluster[i] != cluster[j]
-    sums: dict[tuple[int, int], float] = {}
-    for a, b, value in zip(
-        cluster[i][apart].tolist(), cluster[j][apart].tolist(), ratio[apart].tolist(), strict=True
-    ):
-        key = (min(a, b), max(a, b))
-        sums[key] = sums.get(key, 0.0) + value - _LEAST_RATIO
+    low, high = np.minimum(cluster[i], cluster[j]), np.maximum(cluster[i], cluster[j])
+    apart = low != high
+    sums: dict[tuple[int, int], float] = defaultdict(float)
+    for *pair, value in np.column_stack([low, high, ratio])[apart].tolist():
+        sums[int(pair[0]), int(pair[1])] += value - _LEAST_RATIO
     means = {
-        key: value / (len(groups[key[0]]) * len(groups[key[1]])) + _LEAST_RATIO
-        for key, value in sums.items()
+        (a, b): value / (len(groups[a]) * len(groups[b])) + _LEAST_RATIO
+        for (a, b), value in sums.items()
     }
     joined: set[int] = set()
     cluster = cluster.copy()
@@ -142,15 +135,10 @@ def cluster_pairs(cluster: Ints) -> tuple[Ints, Ints]:
     [(0, 2), (0, 3), (2, 3)]
     """
     order = np.argsort(cluster, kind="stable")
-    ordered = cluster[order]
-    first, second = [], []
-    for step in range(1, int(np.bincount(cluster).max()) if len(cluster) else 0):
-        same = np.flatnonzero(ordered[:-step] == ordered[step:])
-        first.append(order[same])
-        second.append(order[same + step])
-    none: Ints = np.zeros(0, np.intp)
-    i, j = np.concatenate([none, *first]), np.concatenate([none, *second])
-    return np.minimum(i, j), np.maximum(i, j)
+    groups = np.split(order, np.flatnonzero(np.diff(cluster[order])) + 1)
+    pairs = [pair for group in groups for pair in combinations(group.tolist(), 2)]
+    i, j = np.array(pairs, np.intp).reshape(-1, 2).T
+    return i, j
 
 
 _GATE_SD = 4.0
@@ -247,7 +235,7 @@ def merge_row(stops: RowStops, views: RowViews) -> Merged:
         cluster=numbers,
         stops=fitted,
         pairs=pairs,
-        probability=_chance(pairs, i, j, ratio, len(views)),
+        probability=_chance(pairs, i, j, ratio),
         mirrored=mirrored,
     )
 
@@ -341,14 +329,8 @@ def _numbered(cluster: Ints, along: Floats) -> Ints:
     return rank[name_index]
 
 
-def _chance(pairs: Ints, i: Ints, j: Ints, ratio: Floats, size: int) -> Floats:
+def _chance(pairs: Ints, i: Ints, j: Ints, ratio: Floats) -> Floats:
     """Return the probability that each pair is one fruit; 0.5 where a pair was not rated."""
-    codes = i * size + j
-    order = np.argsort(codes)
-    pair_codes = pairs[:, 0] * size + pairs[:, 1]
-    place = np.minimum(np.searchsorted(codes[order], pair_codes), max(len(codes) - 1, 0))
-    value = np.zeros(len(pair_codes))
-    if len(codes):
-        rated = codes[order][place] == pair_codes
-        value[rated] = ratio[order][place][rated]
-    return 1.0 / (1.0 + np.exp(-np.clip(value, -30, 30)))
+    rated = dict(zip(zip(i.tolist(), j.tolist(), strict=True), ratio.tolist(), strict=True))
+    value = np.array([rated.get((a, b), 0.0) for a, b in pairs.tolist()], np.float64)
+    return np.asarray(1.0 / (1.0 + np.exp(-np.clip(value, -30, 30))), np.float64)

@@ -123,10 +123,10 @@ def merge_round(store: Store, round_key: str) -> list[RowCounts]:
     for row in read_round(store, round_key).rows:
         merged = merge_row(row.stops, row.views)
         for (a, b), chance in zip(merged.pairs.tolist(), merged.probability.tolist(), strict=True):
-            first, second = row.fruit_keys[a], row.fruit_keys[b]
-            links.append(LinkRecord(LinkKind.SAME, first, second, chance))
+            links.append(LinkRecord(LinkKind.SAME, row.fruit[a].key, row.fruit[b].key, chance))
         along = merged.stops.at_m[:, ALONG].tolist(), merged.stops.sd_m[:, ALONG].tolist()
-        positions |= dict(zip(row.stop_keys, zip(*along, strict=True), strict=True))
+        keys = [stop.key for stop in row.taken]
+        positions |= dict(zip(keys, zip(*along, strict=True), strict=True))
         fruit = len(np.unique(merged.cluster)) + row.unplaced
         reports.append(_counts(row, merged.stops, fruit, merged.mirrored))
     store.save_merging(round_key, links, positions)
@@ -156,12 +156,11 @@ def _counts(
 @lru_cache(maxsize=CONTENTS)  # today's list, the forecast and the map ask for the same
 def row_counts(content: RoundContent) -> tuple[RowCounts, ...]:
     """Return the rows of a round as they were merged last, what was done by hand included."""
-    fitted = {stop.key for stop in content.stops if stop.fitted_m is not None}
     fruit = Counter(view.row or "" for view in counted_fruit(content.views))
     return tuple(
         _counts(
-            *(row, stored_merging(content, row)[1], fruit[row.name]),
-            done=not fitted.isdisjoint(row.stop_keys),
+            *(row, stored_merging(row)[1], fruit[row.name]),
+            done=any(stop.fitted_m is not None for stop in row.taken),
         )
         for row in content.rows
     )
@@ -212,13 +211,10 @@ def link_rounds(
         before = rows_before.get(row.name)
         if before is None or not len(row.views):
             continue
-        fruit = [
-            row_fruit(*stored_merging(content, row_content), row_content.views)
-            for content, row_content in zip(contents, (before, row), strict=True)
-        ]
+        fruit = [row_fruit(*stored_merging(day), day.views) for day in (before, row)]
         linked = link_days(fruit[0], fruit[1], days, *growth)
         for (a, b), chance in zip(linked.pairs.tolist(), linked.probability.tolist(), strict=True):
-            keys = before.fruit_keys[fruit[0].best[a]], row.fruit_keys[fruit[1].best[b]]
+            keys = before.fruit[fruit[0].best[a]].key, row.fruit[fruit[1].best[b]].key
             links.append(LinkRecord(LinkKind.GROWTH, *keys, chance))
         shift = float(np.median(linked.shift_m[:, ALONG]))
         sd = float(np.median(linked.shift_sd_m[:, ALONG]))

@@ -661,15 +661,6 @@ def _log_of(connection: Connection, round_key: str | None, limit: int | None) ->
     if round_key is not None:
         query = query.where(ROUNDS.c.key == round_key)
     return [
-        LogEntry(
-            number=line.id,
-            at_s=line.at_s,
-            by=line.by,
-            kind=line.kind,
-            round_key=line.key,
-            fruit=tuple(line.fruit),
-            details=line.details,
-            undone=line[7] is not None,
-        )
+        LogEntry(*line[:5], tuple(line.fruit), line.details, undone=line[7] is not None)
         for line in connection.execute(query)
     ]

@@ -4,7 +4,6 @@ import json
 import struct
 import time
 from collections.abc import Iterator
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -249,42 +248,6 @@ def test_a_fruit_is_outlined_before_it_is_measured(asked: TestClient, store: Sto
     np.testing.assert_allclose(drawn, edges, atol=0.1 * (edges[2] - edges[0]))
     assert len(store.detections(WALK)) == 8
     assert not store.detection(view.key).view.corrected
-
-
-def test_a_picture_is_prepared_before_it_is_tapped_and_a_tap_is_drawn_once(
-    asked: TestClient, store: Store, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    sam = resources.measurer()._sam()
-    runs: list[str] = []
-    for name in ("_encoder", "_decoder"):
-        network = getattr(sam, name)
-
-        def run(*given: Any, name: str = name, network: Any = network) -> Any:
-            runs.append(name)
-            return network.run(*given)
-
-        counted = SimpleNamespace(run=run, inputs=network.inputs)
-        monkeypatch.setattr(sam, name, counted)
-    view = store.detections(WALK)[0]
-    picture = {"stop": view.stop_key, "capture": view.capture}
-    assert asked.post("/api/prepare", json=picture).json() == {}
-    box = view
-    edges = [box.box_x1_px, box.box_y1_px, box.box_x2_px, box.box_y2_px]
-    assert asked.post("/api/outline", json={**picture, "box": edges}).status_code == 200
-    assert runs.count("_encoder") == 1
-    drawn = runs.count("_decoder")
-    # It is another fruit's, and refused; but it was not drawn again.
-    assert asked.post("/api/fruit", json={**picture, "box": edges}).status_code == 409
-    assert runs.count("_decoder") == drawn
-    # A point is shown by its own mask, and measured by that of its box; each is drawn once.
-    point = [(edges[0] + edges[2]) / 2, (edges[1] + edges[3]) / 2]
-    assert asked.post("/api/outline", json={**picture, "point": point}).status_code == 200
-    assert runs.count("_decoder") == drawn + 1
-    assert asked.post("/api/fruit", json={**picture, "point": point}).status_code == 409
-    assert runs.count("_decoder") == drawn + 2
-    assert runs.count("_encoder") == 1
-    gone = asked.post("/api/prepare", json={**picture, "capture": "other"})
-    assert "not there any more" in gone.json()["error"]
 
 
 @pytest.mark.parametrize("name", ["../routes.py", "%2e%2e%2froutes.py", "none.js", ""])

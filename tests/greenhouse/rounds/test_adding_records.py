@@ -13,7 +13,6 @@ from cucumbervision.capture.readers.native import write_native
 from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import CaptureError
 from cucumbervision.fruit.instance import Instance
-from cucumbervision.fruit.mask_codes import decode_rle
 from cucumbervision.methods.result import MethodName
 from cucumbervision.methods.selector import measure_fruit
 from cucumbervision.run.measurer import CaptureResult, Failure, Measurer
@@ -96,33 +95,6 @@ def test_a_stop_of_a_file_without_a_time_has_the_files_time_whoever_saves_it(
     assert Place().stop(timed, "k", "r").taken_s == 1_600_000_000.0
     elsewhere = replace(capture, source="s3://bucket/a")
     assert Place().stop(elsewhere, "k", "r").taken_s > 1_700_000_001
-
-
-def test_a_fruits_record_says_what_its_row_says(measured: CaptureResult) -> None:
-    [stop] = stop_of(measured).captures
-    for record, row, fruit in zip(stop.fruit, measured.rows(), measured.fruit, strict=True):
-        for metres, column in (
-            ("length_m", "length_cm"),
-            ("thread_m", "thread_cm"),
-            ("distance_m", "distance_cm"),
-        ):
-            assert 100 * getattr(record, metres) == pytest.approx(row[column], abs=5.1e-4)
-        assert record.length is not None
-        assert fruit.length is not None
-        assert record.length.value_m == pytest.approx(fruit.length.value_m, abs=1e-9)
-        assert 1000 * (record.diameter_max_m or 0) == pytest.approx(
-            row["diameter_max_mm"], abs=0.01
-        )
-        assert 1e6 * (record.volume_m3 or 0) == pytest.approx(row["volume_ml"], abs=0.06)
-        assert (record.method, record.flags, record.box_x1_px) == (
-            row["method"],
-            row["flags"],
-            row["box_x1_px"],
-        )
-        assert record.mask is not None
-        assert fruit.mask is not None
-        assert (decode_rle(record.mask, stop.height_px, stop.width_px) == fruit.mask).all()
-        assert record.m6_m == pytest.approx(fruit.measurements[MethodName.M6].length_m or 0)
 
 
 def test_a_fruit_lies_where_the_picture_shows_it(measured: CaptureResult) -> None:

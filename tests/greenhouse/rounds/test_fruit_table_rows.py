@@ -170,7 +170,7 @@ def test_what_people_say_of_fruit_is_in_the_row(store: Store) -> None:
     store.set_verdict(keys[1:2], Verdict.REJECTED)
     content = read_round(store, MORNING.key)
     (row,) = content.rows
-    assert row.fruit_keys == (keys[0], keys[2])
+    assert [view.key for view in row.fruit] == [keys[0], keys[2]]
     assert [view.key for view in counted_fruit(content.views)] == [keys[0], keys[2]]
 
 
@@ -181,11 +181,10 @@ def test_three_sides_of_one_row_are_refused(store: Store) -> None:
 
 def test_a_merged_row_comes_back_as_it_was_saved(store: Store) -> None:
     row = rows(store, stop(1, fruit(1), fruit(2)), stop(2, fruit(1)))["3"]
-    first, second, third = row.fruit_keys
+    _, second, third = (view.key for view in row.fruit)
     place = {key_of(MORNING.key, 2): (0.97, 0.005)}
     store.save_merging(MORNING.key, [LinkRecord(LinkKind.SAME, second, third, 0.9)], place)
     content = read_round(store, MORNING.key)
-    cluster, stops = stored_merging(content, content.rows[0])
+    cluster, stops = stored_merging(content.rows[0])
     assert cluster[1] == cluster[2] != cluster[0]
     np.testing.assert_allclose(stops.at_m[:, 0], [0.5, 0.97])
-    assert first in row.fruit_keys

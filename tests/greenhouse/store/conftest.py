@@ -35,7 +35,7 @@ def cluster() -> Iterator[Any]:
     reason = missing_reason()
     if reason:
         pytest.skip(reason)
-    with throwaway_cluster(durable=False) as running:
+    with throwaway_cluster() as running:
         yield running
 
 

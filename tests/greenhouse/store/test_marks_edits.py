@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import threading
 from typing import TYPE_CHECKING
 
 import pytest
@@ -154,28 +153,3 @@ def test_a_round_is_renamed_deleted_and_brought_back(store: Store, stops: list[s
         store.restore_round(WALK)
     with pytest.raises(StoreError, match="is not in the store"):
         store.rename_round(key_of("nowhere"), "x")
-
-
-def test_two_viewers_move_the_same_rounds_at_once(store: Store) -> None:
-    keys = [WALK, NEXT_DAY, *(key_of("more", number) for number in range(4))]
-    for key in keys[2:]:
-        store.save_round(Round(key, "more", "house 1", 1000.0))
-    faults: list[Exception] = []
-
-    def move(order: list[str], house: str) -> None:
-        try:
-            for number in range(15):
-                store.move_rounds(order, f"{house} {number}")
-        except StoreError as error:
-            faults.append(error)
-
-    movers = [
-        threading.Thread(target=move, args=[keys[::way], house])
-        for way, house in ((1, "north"), (-1, "south"), (1, "west"))
-    ]
-    for mover in movers:
-        mover.start()
-    for mover in movers:
-        mover.join()
-    assert not faults
-    assert len({line.house for line in store.rounds()}) == 1

@@ -1,8 +1,5 @@
 from __future__ import annotations
 
-import subprocess
-import sys
-import threading
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +16,6 @@ from cucumbervision_greenhouse.store.records import (
     FruitRow,
     Round,
     Saved,
-    Verdict,
     key_of,
     new_key,
 )
@@ -139,36 +135,6 @@ def test_many_threads_lose_nothing(store: Store, make_stop: MakeStop) -> None:
         said = list(pool.map(store.save_stop, stops))
     assert said.count(Saved.NEW) == said.count(Saved.ALREADY_THERE) == 20
     assert len(store.detections(WALK)) == 40
-
-
-WRITER = """
-import sys
-from cucumbervision_greenhouse.store.records import StopRecord, key_of
-from cucumbervision_greenhouse.store.repository import open_store
-
-address, name = sys.argv[1:]
-with open_store(address) as store:
-    for n in range(15):
-        store.save_stop(StopRecord(key_of(name, n), key_of("walk"), row=str(n)))
-"""
-
-
-def test_two_programs_and_a_page_write_to_one_store(store: Store, make_stop: MakeStop) -> None:
-    address = store.engine.url.render_as_string(hide_password=False)
-    store.save_stop(make_stop(1))
-    fruit = store.detections(WALK)[0].key
-    writers = [
-        subprocess.Popen([sys.executable, "-c", WRITER, address, name], stderr=subprocess.PIPE)
-        for name in ("dashboard", "command")
-    ]
-    marks = 0
-    while any(writer.poll() is None for writer in writers):
-        store.set_verdict([fruit], Verdict.ACCEPTED)
-        marks += 1
-        threading.Event().wait(0.01)
-    assert [writer.communicate()[1] for writer in writers] == [b"", b""]
-    assert len(store.stops(WALK)) == 31
-    assert len(store.log(limit=None)) == marks
 
 
 def test_what_a_server_acknowledged_outlives_its_crash(cluster: Any, make_stop: MakeStop) -> None:

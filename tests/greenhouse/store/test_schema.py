@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import gzip
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pytest
-from sqlalchemy import insert, inspect, select, text
+from sqlalchemy import inspect, text
 
-from cucumbervision.errors import StoreError
-from cucumbervision.run.fields import STORED_FIELDS
 from cucumbervision_greenhouse.store.engine import begin
-from cucumbervision_greenhouse.store.records import FruitRow, LinkKind, Verdict, key_of
+from cucumbervision_greenhouse.store.records import LinkKind, Verdict, key_of
 from cucumbervision_greenhouse.store.repository import Store, open_store
-from cucumbervision_greenhouse.store.schema import FRUIT, LINKS, METADATA, VERSION
+from cucumbervision_greenhouse.store.schema import METADATA, VERSION
 
 if TYPE_CHECKING:
     from tests.greenhouse.store.conftest import MakeStop
@@ -41,30 +39,6 @@ def expected_columns() -> dict[str, dict[str, bool]]:
 
 def test_a_database_has_every_table_with_every_column(store: Store) -> None:
     assert columns_of(store) == expected_columns()
-
-
-def test_a_fruits_columns_are_those_of_the_row() -> None:
-    assert {column.si_name for column in STORED_FIELDS} < set(FRUIT.c.keys())
-    assert set(FruitRow().cells) == set(FRUIT.c.keys()) - {
-        *("id", "key", "capture_id", "round_id", "deleted")
-    }
-    types = [str(FRUIT.c[name].type) for name in ("score", "mask_px", "label", "at_least")]
-    assert types == ["DOUBLE", "INTEGER", "TEXT", "BOOLEAN"]
-
-
-def test_the_database_refuses_what_cannot_be(store: Store, make_stop: MakeStop) -> None:
-    def refused(statement: Any) -> str:
-        with pytest.raises(StoreError) as told, begin(store.engine, write=True) as connection:
-            connection.execute(statement)
-        return str(told.value)
-
-    store.save_stop(make_stop(1))
-    with begin(store.engine) as connection:
-        first = connection.execute(select(FRUIT.c.id)).scalars().first()
-    link = {"kind": "same", "first_round_id": 1, "second_round_id": 1}
-    itself = insert(LINKS).values(first_id=first, second_id=first, **link)
-    assert "ck_links_two" in refused(itself)
-    assert "foreign key" in refused(text("UPDATE fruit SET round_id = 999")).lower()
 
 
 @pytest.fixture(params=["0.1.0", "9771f34", "64d81fbb"])

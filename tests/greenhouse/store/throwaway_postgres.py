@@ -1,8 +1,4 @@
-"""A PostgreSQL server of one's own, in a temporary folder, for tests and benchmarks.
-
-    python -m tests.greenhouse.store.throwaway_postgres
-
-prints its URL, and stops it at the end of input.
+"""A PostgreSQL server of one's own, in a temporary folder, for tests.
 
 It listens on a Unix socket alone, in a folder that nobody else may enter. PostgreSQL refuses to
 run as root; where the caller is root, the server runs as the user `postgres` or `nobody`.
@@ -14,7 +10,6 @@ import os
 import pwd
 import shutil
 import subprocess
-import sys
 import tempfile
 import uuid
 from collections.abc import Iterator
@@ -57,16 +52,13 @@ class Cluster:
     ----------
     folder : Path
         Its data and its socket.
-    durable : bool
-        Whether commits wait for the disk. A killed client loses nothing either way.
     """
 
-    def __init__(self, folder: Path, *, durable: bool) -> None:
+    def __init__(self, folder: Path) -> None:
         tools, user = _folder_of_tools(), _user()
         if tools is None or user is None:
             raise RuntimeError(missing_reason())
         self._tools, self._user, self._folder = tools, user, folder
-        self._durable = durable
         if os.getuid() == 0:
             os.chown(folder, user.pw_uid, user.pw_gid)
         said = ("-A", "trust", "-U", "tester", "-E", "UTF8", "--no-sync")
@@ -95,8 +87,7 @@ class Cluster:
 
     def start(self) -> None:
         """Start it and wait until it answers."""
-        safe = "on" if self._durable else "off"
-        settings = f"-k {self._folder} -c listen_addresses= -c fsync={safe} -c max_connections=40"
+        settings = f"-k {self._folder} -c listen_addresses= -c fsync=off -c max_connections=40"
         log = self._folder / "server.txt"
         self._run("pg_ctl", "-D", str(self._data), "-l", str(log), "-o", settings, "-w", "start")
 
@@ -125,19 +116,11 @@ class Cluster:
 
 
 @contextmanager
-def throwaway_cluster(*, durable: bool = True, within: Path | None = None) -> Iterator[Cluster]:
-    """Run a server for a while; its folder is removed afterwards.
-
-    Parameters
-    ----------
-    durable : bool
-        Whether commits wait for the disk.
-    within : Path, optional
-        Where its folder is made; by default where temporary files lie.
-    """
-    folder = Path(tempfile.mkdtemp(prefix="cv-pg-", dir=within))
+def throwaway_cluster() -> Iterator[Cluster]:
+    """Run a server for a while; its folder is removed afterwards."""
+    folder = Path(tempfile.mkdtemp(prefix="cv-pg-"))
     try:
-        cluster = Cluster(folder, durable=durable)
+        cluster = Cluster(folder)
         cluster.start()
         try:
             yield cluster
@@ -145,15 +128,3 @@ def throwaway_cluster(*, durable: bool = True, within: Path | None = None) -> It
             cluster.stop(at_once=True)
     finally:
         shutil.rmtree(folder)
-
-
-def main() -> None:
-    """Run a server until the input ends."""
-    with throwaway_cluster() as cluster:
-        sys.stdout.write(f"{cluster.new_database()}\n")
-        sys.stdout.flush()
-        sys.stdin.read()
-
-
-if __name__ == "__main__":
-    main()

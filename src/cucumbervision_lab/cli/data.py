@@ -47,13 +47,13 @@ def check(folder: Folder, names: Names = "") -> None:
         dataset, findings = check_folder(folder, _list(names), progress=tick)
     console = screen(_WIDE)
     if findings:
-        table = Table("kind", "where", "fault", "remedy")
+        table = Table("where", "fault", "remedy")
         table.title, table.title_justify = f"Faults of {folder}", "left"
         for column in table.columns:
             column.overflow = "fold"
         for finding in findings:
-            cells = (finding.kind, finding.where, finding.fault, finding.remedy)
-            table.add_row(*(Text(cell) for cell in cells))
+            cells = (finding.source, finding.message, finding.remedy)
+            table.add_row(*(Text(str(cell)) for cell in cells))
         console.print(table)
     fruit = sum(len(p.labels) for p in dataset.pictures)
     faults = f"{len(findings)} faults" if findings else "no fault"
@@ -190,15 +190,12 @@ def from_photos(
         Path, typer.Argument(help="Folder of the audited photos, searched recursively.")
     ],
     out: Out,
-    d435: Annotated[
-        bool, typer.Option("--d435", help="Training photos in the colours of a D435, too.")
-    ] = False,
 ) -> None:
     """Write the audited photos, except those of test scenes, as a labelled set with masks."""
     from cucumbervision_lab.cli.screen import show
     from cucumbervision_lab.train.network import photo_set
 
-    made = photo_set(folder, out, as_d435=d435)
+    made = photo_set(folder, out)
     show(f"{len(made.pictures)} photos are in {out}")
 
 
@@ -292,8 +289,7 @@ def synth(
     """Generate synthetic cucumbers with colour, depth, masks, keypoints and lengths."""
     from cucumbervision_lab.cli.screen import show, ticking
     from cucumbervision_lab.data.splits import parse_shares
-    from cucumbervision_lab.scenes.frame import FrameOptions
-    from cucumbervision_lab.scenes.generate import SynthOptions, generate, parse_size
+    from cucumbervision_lab.scenes.generate import FrameOptions, SynthOptions, generate, parse_size
 
     frame = FrameOptions(*parse_size(size), parse_shares(shares, ","), depth, hard=hard)
     options = SynthOptions(frames, seed, frame, assets, split, paste, onto)

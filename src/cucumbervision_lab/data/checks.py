@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from cucumbervision.errors import CucumberVisionError, DataSetError
 from cucumbervision_lab.arrays import Progress
 from cucumbervision_lab.data import splits
-from cucumbervision_lab.data.coco import ANNOTATIONS, ROBOFLOW, read_coco
+from cucumbervision_lab.data.coco import coco_files, read_coco
 from cucumbervision_lab.data.labels import SPLITS, DataSet, Label, LabelledPicture, picture_size
 from cucumbervision_lab.data.yolo import read_yolo
 
@@ -20,39 +20,10 @@ from cucumbervision_lab.data.yolo import read_yolo
 _LEAK_CORNERS = 25
 _LEAK_COLOR = 0.2
 _SLACK_PX = 0.51
+_BY_SCENE = "split by scene: cucumbervision data split"
 
 
-@dataclass(frozen=True)
-class Finding:
-    """A fault of a data set.
-
-    Parameters
-    ----------
-    kind : str
-        'label', 'picture', 'class', 'polygon', 'split' or 'leak'.
-    where : str
-        File, and line or annotation.
-    fault : str
-        Description of the fault.
-    remedy : str
-        How to correct it.
-
-    Examples
-    --------
-    >>> print(Finding("class", "data.yaml", "'leaf' has no label", "remove it"))
-    data.yaml: 'leaf' has no label; remove it
-    """
-
-    kind: str
-    where: str
-    fault: str
-    remedy: str
-
-    def __str__(self) -> str:
-        return f"{self.where}: {self.fault}; {self.remedy}"
-
-
-def require_clean(findings: Sequence[Finding], source: object) -> None:
+def require_clean(findings: Sequence[CucumberVisionError], source: object) -> None:
     """Raise an error if a data set has faults.
 
     Raises
@@ -75,19 +46,10 @@ def open_dataset(path: Path, names: Sequence[str] = ()) -> DataSet:
     DataSetError
         If the format is not recognised.
     """
-    return read_coco(path) if _is_coco(path) else read_yolo(path, names)
-
-
-def _is_coco(path: Path) -> bool:
-    if path.is_file():
-        return path.suffix.lower() == ".json"
-    if not path.is_dir():
+    if not path.exists():
         raise DataSetError("folder not found", source=path, remedy="check the path")
-    return (
-        (path / ANNOTATIONS).is_file()
-        or any(path.glob(ROBOFLOW))
-        or any(path.glob(f"*/{ROBOFLOW}"))
-    )
+    is_coco = path.suffix.lower() == ".json" if path.is_file() else bool(coco_files(path))
+    return read_coco(path) if is_coco else read_yolo(path, names)
 
 
 def check_folder(
@@ -96,7 +58,7 @@ def check_folder(
     *,
     duplicates: bool = True,
     progress: Progress | None = None,
-) -> tuple[DataSet, list[Finding]]:
+) -> tuple[DataSet, list[CucumberVisionError]]:
     """Read a data set and find all its faults.
 
     Parameters
@@ -114,8 +76,8 @@ def check_folder(
     -------
     dataset : DataSet
         The data set.
-    findings : list of Finding
-        Its faults.
+    findings : list of CucumberVisionError
+        Its faults, one error each.
 
     Raises
     ------
@@ -128,7 +90,7 @@ def check_folder(
 
 def check_dataset(
     dataset: DataSet, *, duplicates: bool = True, progress: Progress | None = None
-) -> list[Finding]:
+) -> list[CucumberVisionError]:
     """Find all faults of a data set.
 
     Parameters
@@ -140,49 +102,36 @@ def check_dataset(
 
     Returns
     -------
-    list of Finding
+    list of CucumberVisionError
         Faults found by the reader come first.
     """
-    findings = [_refusal(error) for error in dataset.refused]
-    bad: set[str] = set()
+    findings = list(dataset.refused)
     for picture in dataset.pictures:
-        faults = list(_picture_faults(dataset, picture))
-        if any(f.kind == "picture" for f in faults):
-            bad.add(picture.file)
-        findings += faults
+        findings += _picture_faults(dataset, picture)
     findings += [*_class_faults(dataset), *_split_faults(dataset), *_scene_leaks(dataset)]
     if duplicates:
-        readable = [p for p in dataset.pictures if p.file not in bad]
-        findings += _duplicate_leaks(dataset, readable, progress)
-    return findings
+        findings += _duplicate_leaks(dataset, progress)
+    # A picture that cannot be read is found twice.
+    return list({str(finding): finding for finding in findings}.values())
 
 
-def _refusal(error: CucumberVisionError) -> Finding:
-    label = Path(error.source).suffix.lower() in {".txt", ".json"}
-    return Finding("label" if label else "picture", error.source, error.message, error.remedy)
-
-
-def _picture_faults(dataset: DataSet, picture: LabelledPicture) -> Iterator[Finding]:
+def _picture_faults(dataset: DataSet, picture: LabelledPicture) -> Iterator[CucumberVisionError]:
     try:
         size = picture_size(dataset.path(picture))
     except CucumberVisionError as error:
-        yield Finding("picture", picture.file, error.message, error.remedy)
+        yield error
     else:
         if size != (picture.width, picture.height):
-            fault = (
-                f"is {size[0]}x{size[1]}, but its labels are for {picture.width}x{picture.height}"
-            )
-            yield Finding("picture", picture.file, fault, "restore the labelled picture")
+            labelled = f"{picture.width}x{picture.height}"
+            fault = f"is {size[0]}x{size[1]}, but its labels are for {labelled}"
+            yield DataSetError(fault, source=picture.file, remedy="restore the labelled picture")
     for k, label in enumerate(picture.labels):
+        where = f"{picture.file}, label {k + 1}"
         for fault in _label_faults(label, picture, len(dataset.categories)):
-            yield Finding("label", f"{picture.file}, label {k + 1}", fault, "correct it")
+            yield DataSetError(fault, source=where, remedy="correct it")
         if label.pseudo and picture.split == "test":
-            yield Finding(
-                "split",
-                f"{picture.file}, label {k + 1}",
-                "the test split contains a pseudo-label",
-                "move its scene to train",
-            )
+            fault = "the test split contains a pseudo-label"
+            yield DataSetError(fault, source=where, remedy="move its scene to train")
 
 
 def _label_faults(label: Label, picture: LabelledPicture, categories: int) -> Iterator[str]:
@@ -208,27 +157,28 @@ def _label_faults(label: Label, picture: LabelledPicture, categories: int) -> It
             yield "a labelled keypoint lies outside the picture"
 
 
-def _class_faults(dataset: DataSet) -> Iterator[Finding]:
+def _class_faults(dataset: DataSet) -> Iterator[DataSetError]:
     used = {label.category for p in dataset.pictures for label in p.labels if not label.ignore}
     for k, name in enumerate(dataset.categories):
         if k not in used:
-            fault = f"the class '{name}' has no label"
-            yield Finding("class", str(dataset.folder), fault, "remove the class or label it")
-
-
-def _split_faults(dataset: DataSet) -> Iterator[Finding]:
-    used = {p.split for p in dataset.pictures}
-    for split in ("train", "val"):
-        if used - {""} and split not in used:
-            yield Finding(
-                "split", str(dataset.folder), f"no picture is in {split}", "split the set again"
+            remedy = "remove the class or label it"
+            yield DataSetError(
+                f"the class '{name}' has no label", source=dataset.folder, remedy=remedy
             )
-    for split in sorted(used - {"", *SPLITS}):
-        fault = f"unknown split '{split}'"
-        yield Finding("split", str(dataset.folder), fault, "use train, val and test")
 
 
-def _scene_leaks(dataset: DataSet) -> Iterator[Finding]:
+def _split_faults(dataset: DataSet) -> Iterator[DataSetError]:
+    used = {p.split for p in dataset.pictures} - {""}
+    for split in ("train", "val") if used else ():
+        if split not in used:
+            fault = f"no picture is in {split}"
+            yield DataSetError(fault, source=dataset.folder, remedy="split the set again")
+    for split in sorted(used - {*SPLITS}):
+        remedy = "use train, val and test"
+        yield DataSetError(f"unknown split '{split}'", source=dataset.folder, remedy=remedy)
+
+
+def _scene_leaks(dataset: DataSet) -> Iterator[DataSetError]:
     first: dict[str, LabelledPicture] = {}
     reported: set[tuple[str, str]] = set()
     for picture in dataset.pictures:
@@ -241,42 +191,36 @@ def _scene_leaks(dataset: DataSet) -> Iterator[Finding]:
                 f"scene '{picture.scene}' is in {picture.split}, and with {earlier.file} in "
                 f"{earlier.split}"
             )
-            yield Finding("leak", picture.file, fault, "split by scene: cucumbervision data split")
+            yield DataSetError(fault, source=picture.file, remedy=_BY_SCENE)
 
 
-def _duplicate_leaks(
-    dataset: DataSet, pictures: Sequence[LabelledPicture], progress: Progress | None
-) -> list[Finding]:
-    assigned = [p for p in pictures if p.split]
+def _duplicate_leaks(dataset: DataSet, progress: Progress | None) -> Iterator[CucumberVisionError]:
+    """Find pictures that show another split's picture or scene, and those that are unreadable."""
+    assigned = [p for p in dataset.pictures if p.split]
     if len({p.split for p in assigned}) < 2:
-        return []
+        return
     prints: list[splits.Fingerprint] = []
     readable: list[LabelledPicture] = []
-    findings: list[Finding] = []
     for picture in assigned:
         try:
             prints += splits.take_fingerprints([dataset.path(picture)], progress)
         except CucumberVisionError as error:
-            findings.append(Finding("picture", picture.file, error.message, error.remedy))
+            yield error
         else:
             readable.append(picture)
-    pairs = dict.fromkeys(_copies_across(readable, prints), "is the same picture as")
-    for pair in _views_across(readable, prints):
-        pairs.setdefault(pair, "shows the same scene as")
-    for (i, j), what in sorted(pairs.items()):
+    of_copies = dict.fromkeys(_copies_across(readable, prints), "is the same picture as")
+    of_views = dict.fromkeys(_views_across(readable, prints), "shows the same scene as")
+    for (i, j), what in sorted((of_views | of_copies).items()):
         picture, copy = readable[j], readable[i]
         fault = f"in {picture.split} {what} {copy.file} in {copy.split}"
-        findings.append(
-            Finding("leak", picture.file, fault, "split by scene: cucumbervision data split")
-        )
-    return findings
+        yield DataSetError(fault, source=picture.file, remedy=_BY_SCENE)
 
 
 def _copies_across(
     pictures: Sequence[LabelledPicture], prints: Sequence[splits.Fingerprint]
 ) -> Iterator[tuple[int, int]]:
     index = {split: [k for k, p in enumerate(pictures) if p.split == split] for split in SPLITS}
-    for a, b in (("train", "val"), ("train", "test"), ("val", "test")):
+    for a, b in combinations(SPLITS, 2):
         pairs = splits.copies([prints[k] for k in index[a]], [prints[k] for k in index[b]])
         for i, j in pairs:
             picture, copy = sorted((index[a][i], index[b][j]))

@@ -65,7 +65,14 @@ def read_coco(path: Path) -> DataSet:
     names: list[str] = []
     pictures: list[LabelledPicture] = []
     refused: list[CucumberVisionError] = []
-    for file, split in _find(path):
+    files = coco_files(path)
+    if not files:
+        raise DataSetError(
+            f"holds neither {ANNOTATIONS} nor train/{ROBOFLOW}",
+            source=path,
+            remedy="give a COCO file or a folder that holds one",
+        )
+    for file, split in files:
         data = read_json(file)
         if not isinstance(data, dict):
             raise DataSetError("has no list of images", source=file, remedy="give COCO JSON")
@@ -83,21 +90,15 @@ def read_coco(path: Path) -> DataSet:
     return DataSet(root, tuple(pictures), tuple(names), tuple(refused))
 
 
-def _find(path: Path) -> list[tuple[Path, str]]:
+def coco_files(path: Path) -> list[tuple[Path, str]]:
+    """Return the COCO files of a folder with the split of each, or a file itself."""
     if path.is_file():
         return [(path, "")]
     if (path / ANNOTATIONS).is_file():
         return [(path / ANNOTATIONS, "")]
     places = {path / folder / ROBOFLOW: split for folder, split in SPLIT_FOLDERS.items()}
     places[path / ROBOFLOW] = ""
-    annotations = [(file, split) for file, split in places.items() if file.is_file()]
-    if not annotations:
-        raise DataSetError(
-            f"holds neither {ANNOTATIONS} nor train/{ROBOFLOW}",
-            source=path,
-            remedy="give a COCO file or a folder that holds one",
-        )
-    return annotations
+    return [(file, split) for file, split in places.items() if file.is_file()]
 
 
 def _picture(

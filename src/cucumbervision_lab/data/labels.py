@@ -6,22 +6,23 @@ import math
 import os
 import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from typing import Any, TypeVar
 
 import numpy as np
+from PIL import Image
 
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.pictures import COLOR_SUFFIXES, MOST_PIXELS, read_color
-from cucumbervision.errors import CaptureError, CucumberVisionError, DataSetError, InstancesError
-from cucumbervision.files import read_bytes
+from cucumbervision.errors import CucumberVisionError, DataSetError, InstancesError, wrap_os_errors
 from cucumbervision.fruit.label_files import LabelledImage, LabelledInstance, entry_or_error
 from cucumbervision.fruit.mask_codes import Rle, mask_of_segmentation
 from cucumbervision.fruit.masks import box_of_mask, mask_window
 from cucumbervision.networks.keypoint_axis import KEYPOINT_SHARES, axis_line
 from cucumbervision.tube.shape import points_along
-from cucumbervision_lab.arrays import Array, Mask, Pixels, Progress
+from cucumbervision_lab.arrays import Array, Mask, Progress
 
 KEYPOINT_ORDER = "keypoint_order"
 """Key in a label's extras: 'place' if its keypoints are ordered by position in the picture."""
@@ -331,9 +332,6 @@ def keep_classes(dataset: DataSet, keep: Mapping[str, str]) -> DataSet:
     return replace(dataset, pictures=pictures, categories=categories)
 
 
-_SOF = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
-
-
 def ticked(items: Iterable[Item], progress: Progress | None) -> Iterator[Item]:
     """Yield items, and call `progress` with 1 after each one."""
     for item in items:
@@ -348,40 +346,20 @@ def list_pictures(folder: Path) -> list[Path]:
 
 
 def picture_size(path: Path) -> tuple[int, int]:
-    """Return a picture's width and height; for PNG and JPEG from the header only.
+    """Return a picture's width and height; an EXIF orientation is not applied.
 
     Raises
     ------
     CaptureError
         If the file is missing, is not a picture, or has more than `MOST_PIXELS`.
-
-    Notes
-    -----
-    PNG: ISO/IEC 15948, 11.2.2. JPEG: ITU-T T.81, B.2.2. An EXIF orientation is not applied.
     """
-    data = read_bytes(path)
-    size = _jpeg_size(data) if data.startswith(b"\xff\xd8") else None
-    if data.startswith(b"\x89PNG\r\n\x1a\n") and len(data) >= 24:
-        size = int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
-    if size is None:
-        height, width = read_color(path).shape[:2]
-        return width, height
-    if size[0] * size[1] > MOST_PIXELS:  # masks are allocated with this size
-        fault = f"has more than {MOST_PIXELS / 1e6:g} million pixels"
-        raise CaptureError(fault, source=path, remedy="give a smaller picture")
-    return size
-
-
-def _jpeg_size(data: bytes) -> tuple[int, int] | None:
-    offset = 2
-    while offset + 9 < len(data) and data[offset] == 0xFF:
-        marker = data[offset + 1]
-        if marker in _SOF:
-            height, width = data[offset + 5 : offset + 7], data[offset + 7 : offset + 9]
-            return int.from_bytes(width, "big"), int.from_bytes(height, "big")
-        # Fill bytes may precede a marker.
-        offset += 1 if marker == 0xFF else 2 + int.from_bytes(data[offset + 2 : offset + 4], "big")
-    return None
+    # Ultralytics' own `Image.open` asks for a package that reads HEIF, too.
+    unreadable = OSError, ImportError, Image.DecompressionBombError
+    with suppress(*unreadable), Image.open(path) as picture:
+        if picture.width * picture.height <= MOST_PIXELS:
+            return picture.size
+    height, width = read_color(path).shape[:2]  # names the fault
+    return width, height
 
 
 def flat_names(files: Iterable[str]) -> dict[str, str]:
@@ -415,25 +393,19 @@ def place_file(source: Path, target: Path) -> None:
     DataSetError
         If the source is missing or the target cannot be written.
     """
-    try:
+    with wrap_os_errors("cannot be written", target, "choose another folder", DataSetError):
+        if not source.is_file():
+            raise DataSetError(
+                "the file is missing", source=source, remedy="copy the data set again"
+            )
         target.parent.mkdir(parents=True, exist_ok=True)
         if target.exists() and target.samefile(source):
             return
         target.unlink(missing_ok=True)
         try:
             os.link(source, target)
-        except FileNotFoundError:
-            raise
         except OSError:  # another disk, or a file system without links
             shutil.copyfile(source, target)
-    except FileNotFoundError:
-        raise DataSetError(
-            "the file is missing", source=source, remedy="copy the data set again"
-        ) from None
-    except OSError as error:
-        raise DataSetError(
-            f"cannot be written ({error.strerror})", source=target, remedy="choose another folder"
-        ) from None
 
 
 def write_text(path: Path, text: str) -> None:
@@ -445,66 +417,10 @@ def write_text(path: Path, text: str) -> None:
         If the file cannot be written.
     """
     part = path.with_name(f"{path.name}.part")
-    try:
+    with wrap_os_errors("cannot be written", path, "choose another folder", DataSetError):
         path.parent.mkdir(parents=True, exist_ok=True)
         part.write_text(text, encoding="utf-8")
         part.replace(path)
-    except OSError as error:
-        raise DataSetError(
-            f"cannot be written ({error.strerror})", source=path, remedy="choose another folder"
-        ) from None
-
-
-def _outlines(mask: Mask) -> list[Array]:
-    """Return the outer outline of each part, largest first, with a point every half pixel.
-
-    The outline runs through the midpoints of pixel edges: exactly the pixel centres of the part and
-    of its holes lie inside. Pixels that touch at a corner belong to the same part.
-    """
-    import cv2
-
-    window = mask_window(mask)
-    if window is None:
-        return []
-    contours, _ = cv2.findContours(_doubled(mask[window]), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    corner = np.array([window[1].start, window[0].start], np.float64)
-    parts = [contour.reshape(-1, 2) / 2 + corner for contour in contours]
-    return sorted(parts, key=_area, reverse=True)
-
-
-def _doubled(mask: Mask) -> Pixels:
-    """Return pixel centres, edge midpoints and corners as a grid of shape (2 H + 1, 2 W + 1)."""
-    height, width = mask.shape
-    padded = np.zeros((height + 2, width + 2), np.uint8)
-    padded[1:-1, 1:-1] = mask
-    across, below = padded[:, 1:] + padded[:, :-1], padded[1:] + padded[:-1]
-    grid = np.zeros((2 * height + 1, 2 * width + 1), np.uint8)
-    grid[1::2, 1::2] = mask
-    grid[1::2, 0::2] = across[1:-1] > 0
-    grid[0::2, 1::2] = below[:, 1:-1] > 0
-    # A corner that belongs to a single pixel stays outside: the outline cuts it off.
-    grid[0::2, 0::2] = across[1:] + across[:-1] > 1
-    return grid
-
-
-def _simplified(points: Array) -> Array:
-    """Remove points within straight segments.
-
-    Reversals are kept, and so are the ends of bridges, which occur twice: otherwise two bridges
-    that meet at a point could cross.
-    """
-    before = points - np.roll(points, 1, axis=0)
-    after = np.roll(points, -1, axis=0) - points
-    cross = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
-    _, which, times = np.unique(points, axis=0, return_inverse=True, return_counts=True)
-    corners = (cross != 0) | ((before * after).sum(axis=1) < 0) | (times[which.ravel()] > 1)
-    straight: Array = points[corners]
-    return straight
-
-
-def _area(points: Array) -> float:
-    x, y = points.T
-    return float(abs(x @ np.roll(y, -1) - y @ np.roll(x, -1))) / 2
 
 
 def join_parts(parts: Sequence[Array]) -> Array:
@@ -562,12 +478,22 @@ def one_polygon(mask: Mask, min_part_px: float = 16.0) -> Array | None:
     >>> one_polygon(np.zeros((4, 6), bool)) is None
     True
     """
-    parts = _outlines(mask)
-    if not parts:
+    import cv2
+
+    window = mask_window(mask)
+    if window is None:
         return None
-    # Join before simplifying: bridges between the corners of long segments could cross an outline.
-    large = [p for p in parts if p is parts[0] or _area(p) >= min_part_px]
-    return _simplified(join_parts(large))
+    # A grid of half pixels, so that outlines run along the pixels' edges. They cut off corners of
+    # single pixels: readers take four corners for a box.
+    part = np.pad(mask[window], 1).astype(np.uint8)
+    corners = part[1:, 1:] + part[:-1, 1:] + part[1:, :-1] + part[:-1, :-1]
+    fine = cv2.dilate(part.repeat(2, 0).repeat(2, 1), np.ones((2, 2), np.uint8))[2:-1, 2:-1]
+    fine[::2, ::2] = corners > 1
+    outlines, _ = cv2.findContours(fine, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+    first, *rest = sorted(outlines, key=cv2.contourArea, reverse=True)
+    large = [first, *(part for part in rest if cv2.contourArea(part) >= 4 * min_part_px)]
+    corner = np.array([window[1].start, window[0].start], np.float64)
+    return join_parts([part.reshape(-1, 2) / 2 + corner for part in large])
 
 
 DIRECTIONS = {

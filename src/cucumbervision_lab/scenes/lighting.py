@@ -14,7 +14,7 @@ from cucumbervision_lab.scenes.colors import sample, smooth_noise, smoothstep, t
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from cucumbervision_lab.scenes.appearance import Assets
+    from cucumbervision_lab.scenes.textures import Assets
 
     Vector = tuple[float, float, float]
     from cucumbervision.capture.intrinsics import Intrinsics

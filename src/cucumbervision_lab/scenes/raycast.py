@@ -430,8 +430,6 @@ def cast_plane(plane: Plane, camera: Intrinsics) -> Hit:
 
 
 _LOBES = 5  # number of lobes of a cucumber leaf
-_TEETH = 41
-_NOTCH, _NOTCH_RAD = 0.35, 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -451,9 +449,6 @@ class Leaf:
         (bend_along s² + bend_across t²) / 2.
     lobe : float
         Relative amplitude of the five lobes, 0 to 0.5.
-    teeth : float
-        Relative amplitude of a serrated edge, 0 to 0.1; a serrated leaf also has a notch at its
-        stalk.
     """
 
     centre_m: Array
@@ -462,7 +457,6 @@ class Leaf:
     half_width_m: float
     bend_per_m: tuple[float, float] = (0.0, 0.0)
     lobe: float = 0.0
-    teeth: float = 0.0
 
     def moved(self, turn: Array, by_m: ArrayLike) -> Leaf:
         """Return the leaf rotated about the origin by a 3x3 matrix, then translated by metres."""
@@ -524,7 +518,7 @@ def cast_leaf(leaf: Leaf, camera: Intrinsics) -> Hit | None:
 
 def _bounds(leaf: Leaf) -> tuple[Array, Array]:
     # The projection of the bounding box contains the projection of the blade.
-    s, t = ((1 + leaf.lobe + leaf.teeth) * half for half in (leaf.half_length_m, leaf.half_width_m))
+    s, t = ((1 + leaf.lobe) * half for half in (leaf.half_length_m, leaf.half_width_m))
     rise = [k * half**2 / 2 for k, half in zip(leaf.bend_per_m, (s, t), strict=True)]
     lowest, highest = sum(min(r, 0.0) for r in rise), sum(max(r, 0.0) for r in rise)
     corners = np.array([(p, q, n) for p in (-s, s) for q in (-t, t) for n in (lowest, highest)])
@@ -538,35 +532,11 @@ def _bounds(leaf: Leaf) -> tuple[Array, Array]:
 def _in_outline(leaf: Leaf, s: Array, t: Array) -> Mask:
     p, q = s / leaf.half_length_m, t / leaf.half_width_m
     square = p * p + q * q
-    if leaf.lobe == leaf.teeth == 0:
+    if leaf.lobe == 0:
         return np.asarray(square <= 1)
     # Evaluate the outline only between the inner and outer radius of the edge.
-    innermost = 1 - leaf.lobe - leaf.teeth - (_NOTCH if leaf.teeth else 0)
-    inside = np.asarray(square <= innermost**2)
-    unsure = ~inside & (square <= (1 + leaf.lobe + leaf.teeth) ** 2)
-    rim = leaf_rim(np.arctan2(q[unsure], p[unsure]), leaf.lobe, leaf.teeth)
+    inside = np.asarray(square <= (1 - leaf.lobe) ** 2)
+    unsure = ~inside & (square <= (1 + leaf.lobe) ** 2)
+    rim = 1 + leaf.lobe * np.cos(_LOBES * np.arctan2(q[unsure], p[unsure]))
     inside[unsure] = square[unsure] <= rim * rim
     return inside
-
-
-def leaf_rim(angle: Array, lobe: float, teeth: float) -> Array:
-    """Return the distance of a leaf's edge from its centre, in half axes.
-
-    Parameters
-    ----------
-    angle : ndarray of float64
-        Direction from the centre, radians, 0 at the tip.
-    lobe, teeth : float
-        See `Leaf`.
-
-    Examples
-    --------
-    >>> leaf_rim(np.array([0.0, np.pi / 5]), 0.1, 0.0).round(3).tolist()
-    [1.1, 0.9]
-    """
-    rim = 1 + lobe * np.cos(_LOBES * angle)
-    if teeth:
-        # Triangle wave, and a notch at the stalk (180 degrees).
-        rim += teeth * (4 * np.abs((_TEETH * angle / (2 * np.pi)) % 1 - 0.5) - 1)
-        rim -= _NOTCH * np.exp(-(((np.pi - np.abs(angle)) / _NOTCH_RAD) ** 2))
-    return np.asarray(rim)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision_lab.arrays import Array32, Generator, Mask
 from cucumbervision_lab.scenes import lighting
-from cucumbervision_lab.scenes.appearance import FAR, Assets, Style
+from cucumbervision_lab.scenes.appearance import FAR, Style
 from cucumbervision_lab.scenes.colors import mix, sample, scale_colors, smooth_noise, to_linear
 from cucumbervision_lab.scenes.lighting import Light
 from cucumbervision_lab.scenes.raycast import ray_grid
@@ -20,6 +20,7 @@ from cucumbervision_lab.scenes.skin import skin_maps
 from cucumbervision_lab.scenes.textures import (
     LEAF_TEXTURES,
     TILE_M,
+    Assets,
     far_view,
     leaf_level,
     leaf_photo_texture,
@@ -90,7 +91,8 @@ def shade(
     Examples
     --------
     >>> from cucumbervision.capture.intrinsics import Intrinsics
-    >>> from cucumbervision_lab.scenes.appearance import Assets, random_style
+    >>> from cucumbervision_lab.scenes.appearance import random_style
+    >>> from cucumbervision_lab.scenes.textures import Assets
     >>> from cucumbervision_lab.scenes.raycast import Plane
     >>> from cucumbervision_lab.scenes.scene import Scene, render
     >>> from cucumbervision_lab.scenes.bodies import arc_tube

@@ -23,7 +23,7 @@ from cucumbervision_lab.scenes.colors import (
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from cucumbervision_lab.scenes.appearance import Assets
+    from cucumbervision_lab.scenes.textures import Assets
 
 
 _ROWS, _COLUMNS = (24, 1100), (24, 560)
@@ -178,7 +178,7 @@ def random_skin(rng: Generator, variety: str, assets: Assets) -> Skin:
 
     Examples
     --------
-    >>> from cucumbervision_lab.scenes.appearance import Assets
+    >>> from cucumbervision_lab.scenes.textures import Assets
     >>> skin = random_skin(np.random.default_rng(1), "slicing", Assets())
     >>> skin.warts_per_cm2 > 0.5, skin.texture
     (True, -1)

@@ -1,13 +1,16 @@
-"""Textures of leaves, surfaces and distant backgrounds."""
+"""Textures of leaves, surfaces and distant backgrounds, and pictures to draw them from."""
 
 from __future__ import annotations
 
+import warnings
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
 
+from cucumbervision.errors import CaptureError
 from cucumbervision_lab.arrays import Array32, Generator, Pixels
 from cucumbervision_lab.scenes.colors import (
     jitter,
@@ -19,12 +22,141 @@ from cucumbervision_lab.scenes.colors import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+    from pathlib import Path
+
     from numpy.typing import NDArray
 
-    Grain = float | tuple[float, float]
-    from collections.abc import Callable
+_SHOWS_FRUIT = ("fruit", "rot_")
 
-    from cucumbervision_lab.scenes.appearance import Assets
+_PICTURES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp"}
+
+_LIGHTS = {".hdr", ".exr"}
+
+_SKIN_PX = 512
+
+_LEAF_PX = 512
+
+_BACKGROUND_PX = 1600
+
+_LIGHT_SIZE = (128, 64)
+
+
+@dataclass(frozen=True, eq=False)
+class Assets:
+    """Picture assets for rendering. All may be empty; everything is then generated.
+
+    Parameters
+    ----------
+    skins : tuple of ndarray of uint8, shape (H, W, 3)
+        Close-ups of skin, RGB, the longer side at most 512 px.
+    backgrounds : tuple of ndarray of uint8, shape (H, W, 3)
+        Distant backgrounds, RGB, the longer side at most 1600 px.
+    environments : tuple of ndarray of float32, shape (64, 128, 3)
+        Environment maps, linear RGB, equirectangular, the top row up.
+    leaves : tuple of ndarray of uint8, shape (H, W, 3)
+        Close-ups of leaves, RGB, the longer side at most 512 px.
+    """
+
+    skins: tuple[Pixels, ...] = ()
+    backgrounds: tuple[Pixels, ...] = ()
+    environments: tuple[Array32, ...] = ()
+    leaves: tuple[Pixels, ...] = ()
+
+
+def load_assets(folder: Path | None) -> Assets:
+    """Load picture assets by the names of their folders.
+
+    Pictures below `textures` are skins, those below `backgrounds` are backgrounds, those in a
+    folder `leaves` are leaves, and `.hdr` files below a folder whose name starts with `hdri` are
+    environments. Each kind is sorted by path. Backgrounds and leaves whose names contain a word of
+    `_SHOWS_FRUIT` are skipped: fruit in the background would have no label.
+
+    Parameters
+    ----------
+    folder : Path, optional
+        Folder of the assets; without it, the result is empty.
+
+    Returns
+    -------
+    Assets
+        Downscaled pictures. Unreadable files are skipped with a single warning.
+
+    Raises
+    ------
+    CaptureError
+        If the folder does not exist or contains no assets.
+
+    Examples
+    --------
+    >>> load_assets(None)
+    Assets(skins=(), backgrounds=(), environments=(), leaves=())
+    """
+    if folder is None:
+        return Assets()
+    if not folder.is_dir():
+        raise CaptureError(
+            "folder not found", source=folder, remedy="give a folder of assets, or omit the option"
+        )
+    bad: list[str] = []
+    assets = Assets(
+        _pictures(folder, "textures/**/*", _SKIN_PX, (), bad),
+        _pictures(folder, "backgrounds/**/*", _BACKGROUND_PX, _SHOWS_FRUIT, bad),
+        _environments(folder, bad),
+        _pictures(folder, "**/leaves/**/*", _LEAF_PX, _SHOWS_FRUIT, bad),
+    )
+    if bad:
+        names = ", ".join(sorted(set(bad)))
+        warnings.warn(f"{folder}: unreadable pictures skipped: {names}", stacklevel=2)
+    if not (assets.skins or assets.backgrounds or assets.environments or assets.leaves):
+        raise CaptureError(
+            "contains no textures, backgrounds or environment maps",
+            source=folder,
+            remedy="put pictures below textures/, backgrounds/ or hdri/",
+        )
+    return assets
+
+
+def _pictures(
+    folder: Path, pattern: str, longest_px: int, without: Sequence[str], bad: list[str]
+) -> tuple[Pixels, ...]:
+    pictures = []
+    for picture in _read_all(folder, pattern, _PICTURES, without, bad):
+        scale = min(longest_px / max(picture.shape[:2]), 1.0)
+        if scale < 1:
+            picture = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        pictures.append(np.ascontiguousarray(picture[..., ::-1], np.uint8))
+    return tuple(pictures)
+
+
+def _environments(folder: Path, bad: list[str]) -> tuple[Array32, ...]:
+    environments = []
+    for light in _read_all(folder, "**/hdri*/**/*", _LIGHTS, (), bad):
+        sky = light[..., :3].astype(np.float32)
+        small = cv2.resize(sky, _LIGHT_SIZE, interpolation=cv2.INTER_AREA)
+        environments.append(np.ascontiguousarray(small[..., ::-1], np.float32))
+    return tuple(environments)
+
+
+def _read_all(
+    folder: Path, pattern: str, endings: set[str], without: Sequence[str], bad: list[str]
+) -> Iterator[NDArray[Any]]:
+    """Yield the colour pictures that match a pattern, and append unreadable files to `bad`."""
+    flag = cv2.IMREAD_UNCHANGED if endings is _LIGHTS else cv2.IMREAD_COLOR
+    for path in sorted(set(folder.glob(pattern))):
+        named = any(word.lower() in path.name.lower() for word in without)
+        if named or path.suffix.lower() not in endings:
+            continue
+        # OpenCV raises for an empty file and returns None for a damaged one.
+        try:
+            picture = cv2.imdecode(np.fromfile(path, np.uint8), flag)
+        except (OSError, cv2.error):
+            picture = None
+        if picture is None or picture.ndim != 3 or not np.isfinite(picture).all():
+            bad.append(str(path.relative_to(folder)))
+        else:
+            yield np.asarray(picture)
+
 
 LEAF_TEXTURES = 16  # as many there are to choose from
 

@@ -21,8 +21,7 @@ from cucumbervision_lab.evaluate.outcomes import Score, detection_rows, fruit_ro
 from cucumbervision_lab.evaluate.photos import audited_photos, evaluate_photos
 from cucumbervision_lab.evaluate.pictures import detect_set, open_networks, spread
 from cucumbervision_lab.evaluate.scenes import chosen_networks
-from cucumbervision_lab.scenes.frame import FrameOptions
-from cucumbervision_lab.scenes.generate import SynthOptions, generate
+from cucumbervision_lab.scenes.generate import FrameOptions, SynthOptions, generate
 from cucumbervision_lab.train.export import export_trained, write_card
 from cucumbervision_lab.train.network import TrainOptions, photo_set, train
 

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 import yaml
 
-from cucumbervision.capture.pictures import read_color, write_jpeg
 from cucumbervision.errors import MissingExtraError, ModelError, TrainingError
 from cucumbervision.networks.keypoint_axis import keypoints_between
 from cucumbervision.networks.runtime import import_onnxruntime
@@ -33,7 +32,6 @@ from cucumbervision_lab.data.labels import (
 )
 from cucumbervision_lab.data.yolo import write_yolo
 from cucumbervision_lab.evaluate.photos import audited
-from cucumbervision_lab.scenes.colors import d435_colors
 
 _INTEGRATIONS = ("clearml", "comet", "dvc", "mlflow", "neptune", "raytune", "tensorboard", "wandb")
 
@@ -502,7 +500,7 @@ def data_card(dataset: DataSet, title: str) -> str:
     return "\n".join(lines)
 
 
-def photo_set(folder: Path, out: Path, *, as_d435: bool = False) -> DataSet:
+def photo_set(folder: Path, out: Path) -> DataSet:
     """Write the audited photos below a folder, except those of test scenes, as a labelled set.
 
     Fruit without an outline get a mask by SAM; complete fruit get keypoints along the mask's axis,
@@ -514,8 +512,6 @@ def photo_set(folder: Path, out: Path, *, as_d435: bool = False) -> DataSet:
         Folder of the photos, searched recursively.
     out : Path
         Folder of the set.
-    as_d435 : bool
-        Write the photos to train on once more, in the colours of a D435 in a greenhouse.
 
     Raises
     ------
@@ -531,15 +527,7 @@ def photo_set(folder: Path, out: Path, *, as_d435: bool = False) -> DataSet:
         if picture.split != "test" and (picture.extras["fully_labelled"] or picture.shows_fruit)
     )
     drawn = add_pseudo_masks(replace(audit, pictures=pictures), open_segmenter()).dataset
-    labelled = write_coco(_each_label(drawn, _with_axis_points), out)
-    if not as_d435:
-        return labelled
-    rng, copies = np.random.default_rng(0), []
-    for number, picture in enumerate(labelled.in_split("train")):
-        copy = replace(picture, file=f"images/d435-{number:05d}.jpg")
-        write_jpeg(out / copy.file, d435_colors(read_color(labelled.path(picture)), rng))
-        copies.append(copy)
-    return write_coco(replace(labelled, pictures=(*labelled.pictures, *copies)), out)
+    return write_coco(_each_label(drawn, _with_axis_points), out)
 
 
 def _with_axis_points(label: Label) -> Label:

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from cucumbervision.capture.pictures import read_color, write_png
-from cucumbervision.errors import DataSetError
+from cucumbervision.errors import CucumberVisionError, DataSetError
 from cucumbervision.fruit.mask_codes import Rle
-from cucumbervision_lab.data.checks import Finding, check_dataset, check_folder, require_clean
+from cucumbervision_lab.data.checks import check_dataset, check_folder, require_clean
 from cucumbervision_lab.data.coco import write_coco
 from cucumbervision_lab.data.labels import DataSet, Label
 from cucumbervision_lab.data.yolo import write_yolo
@@ -21,8 +21,8 @@ from cucumbervision_lab.data.yolo import write_yolo
 MakeSet = Callable[..., DataSet]
 
 
-def faults(findings: Sequence[Finding]) -> list[tuple[str, str]]:
-    return [(finding.kind, finding.fault) for finding in findings]
+def faults(findings: Sequence[CucumberVisionError]) -> list[str]:
+    return [str(finding.message) for finding in findings]
 
 
 def with_label(dataset: DataSet, number: int, label: Label) -> DataSet:
@@ -58,16 +58,13 @@ def test_every_fault_of_a_yolo_set_is_listed(make_set: MakeSet, tmp_path: Path) 
     yaml.write_text(yaml.read_text().replace("0: cucumber", "0: cucumber, 1: leaf"))
     _, findings = check_folder(out)
     assert faults(findings) == [
-        ("label", "line 1: has numbers outside 0 to 1, which must be shares of width and height"),
-        (
-            "label",
-            "line 2: the box [79.5, 53.5, 79.5, 65.5] has no area inside the picture of 160x120",
-        ),
-        ("label", "the label file is missing"),
-        ("picture", "is truncated or damaged"),
-        ("class", "the class 'leaf' has no label"),
+        "line 1: has numbers outside 0 to 1, which must be shares of width and height",
+        "line 2: the box [79.5, 53.5, 79.5, 65.5] has no area inside the picture of 160x120",
+        "the label file is missing",
+        "is truncated or damaged",
+        "the class 'leaf' has no label",
     ]
-    assert findings[0].where == str(out / "labels/train/000000.txt")
+    assert findings[0].source == str(out / "labels/train/000000.txt")
     with pytest.raises(DataSetError, match=r"outside 0 to 1.*\(and 4 more\)"):
         require_clean(findings, out)
 
@@ -87,11 +84,11 @@ def test_every_fault_of_a_coco_set_is_listed(make_set: MakeSet) -> None:
     write_png(dataset.folder / "images/000003.png", np.zeros((60, 80, 3), np.uint8))
     _, findings = check_folder(dataset.folder)
     assert faults(findings) == [
-        ("label", "annotation 2: its box extends beyond the picture of 160x120"),
-        ("label", "annotation 3: has 2 keypoint numbers, not 15"),
-        ("picture", "the file is missing"),
-        ("picture", "is 80x60, but its labels are for 160x120"),
-        ("split", "the test split contains a pseudo-label"),
+        "annotation 2: its box extends beyond the picture of 160x120",
+        "annotation 3: has 2 keypoint numbers, not 15",
+        "the file is missing",
+        "is 80x60, but its labels are for 160x120",
+        "the test split contains a pseudo-label",
     ]
 
 
@@ -112,15 +109,15 @@ def test_every_fault_of_a_coco_set_is_listed(make_set: MakeSet) -> None:
 )
 def test_a_label_at_fault(make_set: MakeSet, label: Label, fault: str) -> None:
     findings = check_dataset(with_label(make_set(), 1, label), duplicates=False)
-    assert [f.where for f in findings] == ["images/000001.png, label 1"]
-    assert fault in findings[0].fault
+    assert [f.source for f in findings] == ["images/000001.png, label 1"]
+    assert fault in str(findings[0])
 
 
 def test_a_scene_in_two_splits_is_told_once_a_split(make_set: MakeSet) -> None:
     dataset = make_set("train train val val test")
     pictures = [replace(p, scene="bench") for p in dataset.pictures]
     findings = check_dataset(replace(dataset, pictures=tuple(pictures)), duplicates=False)
-    assert [f.kind for f in findings] == ["leak", "leak"]
+    assert len(findings) == 2
     assert str(findings[0]) == (
         "images/000002.png: scene 'bench' is in val, and with images/000000.png in train; "
         "split by scene: cucumbervision data split"
@@ -146,17 +143,15 @@ def test_a_copy_in_another_split_is_found(make_set: MakeSet, change: str) -> Non
     pictures = list(dataset.pictures)
     pictures[3] = replace(pictures[3], width=width, height=height, labels=())
     findings = check_dataset(replace(dataset, pictures=tuple(pictures)))
-    assert faults(findings) == [
-        ("leak", "in val is the same picture as images/000001.png in train")
-    ]
+    assert faults(findings) == ["in val is the same picture as images/000001.png in train"]
     assert check_dataset(replace(dataset, pictures=tuple(pictures)), duplicates=False) == []
 
 
 def test_splits_must_be_there_and_known(make_set: MakeSet) -> None:
     only = check_dataset(make_set("train train", name="a"), duplicates=False)
-    assert faults(only) == [("split", "no picture is in val")]
+    assert faults(only) == ["no picture is in val"]
     odd = check_dataset(make_set("train val dev", name="b"), duplicates=False)
-    assert faults(odd) == [("split", "unknown split 'dev'")]
+    assert faults(odd) == ["unknown split 'dev'"]
     assert check_dataset(make_set("- -", name="c")) == []
 
 

@@ -26,7 +26,7 @@ def test_a_head_that_promises_too_many_pixels_is_not_believed(tmp_path: Path) ->
     data = (tmp_path / "a.png").read_bytes()
     large = (100_000).to_bytes(4, "big")
     (tmp_path / "a.png").write_bytes(data[:16] + large + large + data[24:])
-    with pytest.raises(CaptureError, match=r"a\.png: has more than 64 million pixels"):
+    with pytest.raises(CaptureError, match=r"a\.png: is truncated or damaged"):
         picture_size(tmp_path / "a.png")
 
 

@@ -17,8 +17,7 @@ from cucumbervision_lab.evaluate import scenes as run
 from cucumbervision_lab.evaluate.measure_case import Masks, read_records
 from cucumbervision_lab.evaluate.pictures import frame_of
 from cucumbervision_lab.evaluate.scenes import set_records
-from cucumbervision_lab.scenes.frame import FrameOptions
-from cucumbervision_lab.scenes.generate import SynthOptions, generate
+from cucumbervision_lab.scenes.generate import FrameOptions, SynthOptions, generate
 
 
 class TruthFinder:

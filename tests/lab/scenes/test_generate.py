@@ -13,8 +13,7 @@ from cucumbervision.capture.pictures import read_color, read_depth
 from cucumbervision.errors import DataSetError
 from cucumbervision_lab.data.coco import read_coco
 from cucumbervision_lab.data.labels import DataSet
-from cucumbervision_lab.scenes.frame import FrameOptions
-from cucumbervision_lab.scenes.generate import SynthOptions, generate, parse_size
+from cucumbervision_lab.scenes.generate import FrameOptions, SynthOptions, generate, parse_size
 
 OPTIONS = SynthOptions(frames=4, seed=3, frame=FrameOptions(width=256, height=144))
 

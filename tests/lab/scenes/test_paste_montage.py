@@ -12,8 +12,7 @@ from cucumbervision.capture.pictures import read_color
 from cucumbervision.errors import DataSetError
 from cucumbervision_lab.data.coco import write_coco
 from cucumbervision_lab.data.labels import DataSet, Label, LabelledPicture
-from cucumbervision_lab.scenes.frame import FrameOptions
-from cucumbervision_lab.scenes.generate import SynthOptions, generate
+from cucumbervision_lab.scenes.generate import FrameOptions, SynthOptions, generate
 from cucumbervision_lab.scenes.paste import Cutout, fruitless, montage
 
 SIZE = (480, 360)

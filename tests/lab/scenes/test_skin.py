@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cucumbervision_lab.scenes.appearance import Assets
 from cucumbervision_lab.scenes.colors import to_srgb
 from cucumbervision_lab.scenes.skin import LOOKS, Skin, SkinMaps, random_skin, skin_maps
+from cucumbervision_lab.scenes.textures import Assets
 
 
 def maps_of(skin: Skin, seed: int = 1, assets: Assets | None = None) -> SkinMaps:

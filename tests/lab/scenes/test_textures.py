@@ -3,10 +3,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cucumbervision_lab.scenes.appearance import Assets
 from cucumbervision_lab.scenes.colors import to_linear
 from cucumbervision_lab.scenes.textures import (
     MATERIALS,
+    Assets,
     leaf_photo_texture,
     leaf_texture,
     material_color,

@@ -9,8 +9,7 @@ import pytest
 from cucumbervision.errors import TrainingError
 from cucumbervision.fruit.crops import END_PX, PLANES
 from cucumbervision_lab.data.labels import DataSet
-from cucumbervision_lab.scenes.frame import FrameOptions
-from cucumbervision_lab.scenes.generate import SynthOptions, generate
+from cucumbervision_lab.scenes.generate import FrameOptions, SynthOptions, generate
 from cucumbervision_lab.scenes.paste import Cutout
 from cucumbervision_lab.train.end_crops import EndCrops, collect_covered_ends, collect_end_crops
 from cucumbervision_lab.train.measured_ends import labelled_fruit

@@ -13,8 +13,7 @@ from cucumbervision.fruit.crops import HEIGHT_PX, WIDTH_PX, fruit_crop
 from cucumbervision.fruit.instance import Instance
 from cucumbervision.fruit.masks import box_of_mask
 from cucumbervision_lab.data.labels import Label, LabelledPicture
-from cucumbervision_lab.scenes.frame import FrameOptions
-from cucumbervision_lab.scenes.generate import SynthOptions, generate
+from cucumbervision_lab.scenes.generate import FrameOptions, SynthOptions, generate
 from cucumbervision_lab.train.fruit_crops import (
     SURROUND_PX,
     _row,

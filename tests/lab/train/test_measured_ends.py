@@ -9,8 +9,7 @@ import pytest
 from cucumbervision.fruit.mask_codes import Rle
 from cucumbervision_lab.data.labels import DataSet, Label, LabelledPicture
 from cucumbervision_lab.data.splits import is_held_out
-from cucumbervision_lab.scenes.frame import FrameOptions
-from cucumbervision_lab.scenes.generate import SynthOptions, generate
+from cucumbervision_lab.scenes.generate import FrameOptions, SynthOptions, generate
 from cucumbervision_lab.train.measured_ends import (
     HELD_OUT,
     end_truths,

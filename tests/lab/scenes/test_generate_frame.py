@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from cucumbervision.tube.shape import polyline_length
-from cucumbervision_lab.scenes.appearance import load_assets
-from cucumbervision_lab.scenes.frame import Frame, FrameOptions, draw_frame, extras_of
+from cucumbervision_lab.scenes.generate import Frame, FrameOptions, draw_frame, extras_of
+from cucumbervision_lab.scenes.textures import load_assets
 
 SMALL = FrameOptions(width=320, height=180, depth=False)
 SENSED = FrameOptions(width=320, height=180)

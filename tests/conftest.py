@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import settings
 from numpy.typing import NDArray
+from tests.constant_network import constant_network
 
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
@@ -258,28 +259,11 @@ def scene() -> Callable[[int], tuple[NDArray[np.uint16], NDArray[np.uint8]]]:
 @pytest.fixture
 def one_box_detector(tmp_path: Path) -> Path:
     """A detecting network that finds one box, whatever it sees."""
-    onnx = pytest.importorskip("onnx")
-    helper, kind = onnx.helper, onnx.TensorProto
     rows = np.zeros((1, 300, 6), np.float32)
     rows[0, 0] = [8, 8, 40, 30, 0.75, 0]
-    nodes = [
-        helper.make_node("ReduceMax", ["images"], ["most"], keepdims=0),
-        helper.make_node("Mul", ["most", "zero"], ["nothing"]),
-        helper.make_node("Add", ["rows", "nothing"], ["output"]),
-    ]
-    constants = [
-        onnx.numpy_helper.from_array(np.float32(0), "zero"),
-        onnx.numpy_helper.from_array(rows, "rows"),
-    ]
-    images = helper.make_tensor_value_info("images", kind.FLOAT, (1, 3, 64, 64))
-    output = helper.make_tensor_value_info("output", kind.FLOAT, rows.shape)
-    graph = helper.make_graph(nodes, "g", [images], [output], constants)
-    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
-    helper.set_model_props(
-        model, {"names": "{0: 'cucumber'}", "task": "detect", "end2end": "True", "stride": "32"}
-    )
+    props = {"names": {0: "cucumber"}, "task": "detect", "end2end": True, "stride": 32}
     path = tmp_path / "one-box.onnx"
-    path.write_bytes(model.SerializeToString())
+    path.write_bytes(constant_network(rows, props=props))
     return path
 
 

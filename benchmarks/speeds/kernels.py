@@ -25,7 +25,7 @@ from cucumbervision.methods.result import MethodName
 from cucumbervision.methods.table import Region, run_methods
 from cucumbervision.run.batch import in_process
 from cucumbervision.tube.compiled import kernel_name
-from cucumbervision_lab.evaluate.measure_case import BASELINES, Baseline, available_baselines
+from cucumbervision_lab.evaluate.measure_case import Baseline, available_baselines
 from cucumbervision_lab.scenes.bodies import arc_tube, rotation
 from cucumbervision_lab.scenes.depth_camera import D4xx, sense
 from cucumbervision_lab.scenes.scene import Scene, render
@@ -112,9 +112,8 @@ def times_the_floor(taken_ms: dict[str, list[float]], name: str) -> float:
 def kernels(quick: bool) -> list[Figure]:
     """Compare processor times on a mask of 30,000 pixels with plain NumPy's."""
     programs = available_baselines()
-    for name in BASELINES:
-        if name not in programs:
-            print(f"{name} is not installed")
+    if "skan" not in programs:
+        print("skan is not installed")
     others = {f"{name} {version(name)}": task for name, task in programs.items()}
     taken_ms = in_turns(others, 10 if quick else 60)
     aims = {"M1 to M5": "<= 4"}

@@ -2,10 +2,10 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from tests.constant_network import constant_network
 
 from cucumbervision.errors import ModelError
 from cucumbervision.fruit.crops import END_PX, PLANES, EndCrop
@@ -14,17 +14,9 @@ from cucumbervision.networks.confidence import DETECTOR_SIZES_PX
 from cucumbervision.networks.find import NetworkLoader
 from cucumbervision.networks.registry import Registry, file_sha256, load_registry
 
-onnx = pytest.importorskip("onnx")
-from onnx import TensorProto, helper, numpy_helper  # noqa: E402
+pytest.importorskip("onnx")
 
 PICTURE = np.full((64, 64, 3), 90, np.uint8)
-
-
-def save(graph: Any, path: Path, **props: str) -> Path:
-    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
-    helper.set_model_props(model, props)
-    path.write_bytes(model.SerializeToString())
-    return path
 
 
 def pose_network(path: Path) -> Path:
@@ -32,19 +24,9 @@ def pose_network(path: Path) -> Path:
     rows = np.zeros((1, 300, 21), np.float32)
     line = np.column_stack([np.linspace(10, 54, 5), np.full(5, 32), np.ones(5)])
     rows[0, 0] = [8, 24, 56, 40, 0.9, 0, *line.ravel()]
-    graph = helper.make_graph(
-        [
-            helper.make_node("ReduceMax", ["images"], ["most"], keepdims=0),
-            helper.make_node("Mul", ["most", "zero"], ["nothing"]),
-            helper.make_node("Add", ["rows", "nothing"], ["output"]),
-        ],
-        "pose",
-        [helper.make_tensor_value_info("images", TensorProto.FLOAT, (1, 3, 64, 64))],
-        [helper.make_tensor_value_info("output", TensorProto.FLOAT, rows.shape)],
-        [numpy_helper.from_array(np.float32(0), "zero"), numpy_helper.from_array(rows, "rows")],
-    )
-    names = {"names": "{0: 'cucumber'}", "end2end": "True", "kpt_shape": "[5, 3]"}
-    return save(graph, path, task="pose", keypoint_order="place", **names)
+    props = {"names": {0: "cucumber"}, "end2end": True, "kpt_shape": [5, 3], "task": "pose"}
+    path.write_bytes(constant_network(rows, props={**props, "keypoint_order": "place"}))
+    return path
 
 
 def registry_of(folder: Path, **files: Path) -> Registry:

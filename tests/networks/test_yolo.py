@@ -1,10 +1,10 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
 
 import numpy as np
 import pytest
+from tests.constant_network import constant_network as network
 
 from cucumbervision.errors import CucumberVisionError, ModelError
 from cucumbervision.networks.yolo import SIZES_KEY, YoloDetector
@@ -12,31 +12,6 @@ from cucumbervision.networks.yolo import SIZES_KEY, YoloDetector
 onnx = pytest.importorskip("onnx")
 
 PICTURE = np.zeros((32, 64, 3), np.uint8)  # lies in 64x64 with 16 grey rows above and below
-
-
-def network(
-    *outputs: np.ndarray,
-    props: Mapping[str, object] | None = None,
-    shape: tuple[int | str, ...] = (1, 3, 64, 64),
-) -> bytes:
-    """Give a network whose outputs are the given arrays, whatever it sees."""
-    helper, kind = onnx.helper, onnx.TensorProto
-    images = helper.make_tensor_value_info("images", kind.FLOAT, shape)
-    nodes = [
-        helper.make_node("ReduceMax", ["images"], ["most"], keepdims=0),
-        helper.make_node("Mul", ["most", "zero"], ["nothing"]),
-    ]
-    constants = [onnx.numpy_helper.from_array(np.float32(0), "zero")]
-    values = []
-    for i, array in enumerate(outputs):
-        constants.append(onnx.numpy_helper.from_array(array.astype(np.float32), f"c{i}"))
-        nodes.append(helper.make_node("Add", [f"c{i}", "nothing"], [f"output{i}"]))
-        values.append(helper.make_tensor_value_info(f"output{i}", kind.FLOAT, array.shape))
-    graph = helper.make_graph(nodes, "g", [images], values, constants)
-    opset = [helper.make_opsetid("", 17)]
-    model = helper.make_model(graph, opset_imports=opset, ir_version=8)
-    helper.set_model_props(model, {k: str(v) for k, v in (props or {}).items()})
-    return bytes(model.SerializeToString())
 
 
 def chosen(*rows: list[float]) -> np.ndarray:

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from tests.constant_network import constant_network
 
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.readers import open_source
@@ -23,22 +24,7 @@ Array = NDArray[Any]
 
 def network(path: Path, outputs: list[Array], props: Mapping[str, object]) -> Path:
     """Write a network of free size whose outputs are the given arrays, whatever it sees."""
-    onnx = pytest.importorskip("onnx")
-    helper, kind = onnx.helper, onnx.TensorProto
-    images = helper.make_tensor_value_info("images", kind.FLOAT, (1, 3, "height", "width"))
-    nodes = [
-        helper.make_node("ReduceMax", ["images"], ["most"], keepdims=0),
-        helper.make_node("Mul", ["most", "zero"], ["nothing"]),
-    ]
-    constants, values = [onnx.numpy_helper.from_array(np.float32(0), "zero")], []
-    for i, array in enumerate(outputs):
-        constants.append(onnx.numpy_helper.from_array(array.astype(np.float32), f"c{i}"))
-        nodes.append(helper.make_node("Add", [f"c{i}", "nothing"], [f"output{i}"]))
-        values.append(helper.make_tensor_value_info(f"output{i}", kind.FLOAT, array.shape))
-    graph = helper.make_graph(nodes, "g", [images], values, constants)
-    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
-    helper.set_model_props(model, {k: str(v) for k, v in props.items()})
-    path.write_bytes(model.SerializeToString())
+    path.write_bytes(constant_network(*outputs, props=props, shape=(1, 3, "height", "width")))
     return path
 
 

@@ -68,7 +68,7 @@ def test_every_surface_gives_the_same_lengths(tmp_path: Path, with_masks: bool) 
         fruit = measure_fruit(capture, instance)
         assert fruit.length is not None
         assert round(100 * fruit.length.value_m, 3) == row["length_cm"]
-        lengths, _ = fruit_lengths(fruit, capture)
+        lengths = fruit_lengths(fruit, capture)
         for name in ("M3", "M5", "M6"):
             length = lengths[name]
             assert (length and round(100 * length, 3)) == row[f"{name.lower()}_cm"]

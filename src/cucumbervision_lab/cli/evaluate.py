@@ -95,7 +95,7 @@ def evaluate_photos(
         ranked=False,
         input_sizes=parse_input_sizes(input_size),
     )
-    with ticking("photos", len(photos)) as tick:
+    with ticking("photos", len(photos.pictures)) as tick:
         result = evaluate(photos, networks, missing, tick)
     tables = photo_tables(result)
     show_tables(tables)

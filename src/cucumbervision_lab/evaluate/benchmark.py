@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -23,18 +22,15 @@ from cucumbervision.methods.table import AVAILABLE
 from cucumbervision.run.finders import Finder, make_finder
 from cucumbervision.run.options import MeasureOptions
 from cucumbervision_lab.arrays import Array, Progress
-from cucumbervision_lab.data.labels import ticked
 from cucumbervision_lab.evaluate.cases import Case, paper_cases, stress_cases, validation_cases
 from cucumbervision_lab.evaluate.measure_case import (
     CaseOptions,
-    LengthRecord,
     Masks,
-    append_record,
+    Row,
     measure_case,
-    read_records,
     readings_frame,
 )
-from cucumbervision_lab.processes import each_done
+from cucumbervision_lab.processes import kept_rows
 
 _SMALLEST_GROUP = 60  # readings; smaller groups use the enclosing group
 
@@ -412,8 +408,8 @@ def run_cases(
     records: Path,
     workers: int = 2,
     report: Progress | None = None,
-) -> list[LengthRecord]:
-    """Measure the cases that are not in the file yet, and return the records of all cases.
+) -> list[Row]:
+    """Measure the cases that are not in the file yet, and return the rows of all cases.
 
     Parameters
     ----------
@@ -430,26 +426,29 @@ def run_cases(
 
     Returns
     -------
-    list of LengthRecord
-        Records of the cases in the order of the file.
+    list of Row
+        Rows of the cases in their order.
 
     Raises
     ------
     CucumberVisionError
         If the file was written with other options or by another version.
     """
-    done = _resume(records, options)
-    missing = [c for c in cases if not _measured(c, options, done)]
-    if report is not None and len(missing) < len(cases):
-        report(len(cases) - len(missing))
-    for batch in ticked(each_done(partial(_measure, options), missing, workers), report):
-        for record in batch:
-            append_record(records, record)
-    names = {case.name for case in cases}
-    return [r for r in read_records([records]) if r.case in names] if records.exists() else []
+    stamp = json.dumps({"version": __version__, "options": asdict(options)})
+    head = records.with_suffix(".run")
+    if records.exists() and not (head.exists() and head.read_text(encoding="utf-8") == stamp):
+        raise CucumberVisionError(
+            "was written with other options or by another version",
+            source=records,
+            remedy="delete it, or choose another --out",
+        )
+    head.parent.mkdir(parents=True, exist_ok=True)
+    head.write_text(stamp, encoding="utf-8")
+    jobs = {case.name: case for case in cases}
+    return kept_rows(records, jobs, partial(_measure, options), workers, report)
 
 
-def _measure(options: CaseOptions, case: Case) -> list[LengthRecord]:
+def _measure(options: CaseOptions, case: Case) -> list[Row]:
     find = package_finder().find if Masks.PERCEIVED in options.masks else None
     return measure_case(case, options, None if find is None else lambda c: find(c).instances)
 
@@ -458,28 +457,6 @@ def _measure(options: CaseOptions, case: Case) -> list[LengthRecord]:
 def package_finder() -> Finder:
     """Return what finds fruit with the package's networks, loaded once in each process."""
     return make_finder(MeasureOptions(instances="models"))
-
-
-def _measured(case: Case, options: CaseOptions, done: set[tuple[str, str, str]]) -> bool:
-    return all((str(case.suite), case.name, str(kind)) in done for kind in options.masks)
-
-
-def _resume(records: Path, options: CaseOptions) -> set[tuple[str, str, str]]:
-    """Create the file, or check that it has the same options and version."""
-    stamp = {"version": __version__, "options": asdict(options)}
-    mark = hashlib.sha256(json.dumps(stamp, sort_keys=True).encode()).hexdigest()
-    head = records.with_suffix(".run")
-    records.parent.mkdir(parents=True, exist_ok=True)
-    if not records.exists():
-        head.write_text(mark + "\n")
-        return set()
-    if not head.exists() or head.read_text().strip() != mark:
-        raise CucumberVisionError(
-            "was written with other options or by another version",
-            source=records,
-            remedy="delete it, or choose another --out",
-        )
-    return {(r.suite, r.case, r.masks) for r in read_records([records])}
 
 
 @dataclass(frozen=True)

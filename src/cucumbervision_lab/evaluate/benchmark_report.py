@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from cucumbervision.accuracy.statistics import Cell, Estimate, ReportTable, estimate, score
-from cucumbervision.errors import CucumberVisionError
+from cucumbervision.errors import CucumberVisionError, wrap_os_errors
 from cucumbervision.files import write_json
 from cucumbervision.methods.result import LengthDefinition
 from cucumbervision.methods.table import AVAILABLE, TableMethod
@@ -60,11 +59,8 @@ def comparable_readings(readings: pd.DataFrame, truth: LengthDefinition) -> pd.D
 
     Examples
     --------
-    >>> from cucumbervision_lab.evaluate.measure_case import Masks, LengthRecord, readings_frame
-    >>> read = {"M6": 0.21, "M1": 0.1, "M6 thread": 0.22}
-    >>> record = LengthRecord("a", "paper", Masks.EXACT, "f", 0.2, 0.22, None, 0.5, 0.0, None, 0.0,
-    ...     1.0, lengths_m=read)
-    >>> frame = readings_frame([record])
+    >>> frame = pd.DataFrame({"method": ["M6", "M1", "M6 thread"], "length_m": [0.21, 0.1, 0.22]})
+    >>> frame[["centreline_m", "thread_m", "chord_m"]] = 0.2, 0.22, np.nan
     >>> comparable_readings(frame, LengthDefinition.THREAD).method.tolist()
     ['M6', 'M1', 'M6 thread']
     >>> scored = comparable_readings(frame, LengthDefinition.CENTRELINE)
@@ -378,18 +374,6 @@ def _here(read: pd.DataFrame, masks: Masks) -> list[tuple[Cell, ...]]:
     return [(str(read["method"].iloc[0]), f"here, {masks} outlines", *errors)]
 
 
-@contextmanager
-def writing_report(out: Path) -> Iterator[None]:
-    """Create an output folder, and convert write errors in the block to CucumberVisionError."""
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        yield
-    except OSError as error:
-        raise CucumberVisionError(
-            f"cannot be written ({error.strerror})", source=out, remedy="choose another --out"
-        ) from error
-
-
 def write_tables(path: Path, about: Mapping[str, object], tables: Sequence[ReportTable]) -> Path:
     """Write a report's tables with unrounded numbers as JSON.
 
@@ -412,6 +396,7 @@ def write_tables(path: Path, about: Mapping[str, object], tables: Sequence[Repor
     CucumberVisionError
         If it cannot be written.
     """
-    with writing_report(path.parent):
+    with wrap_os_errors("cannot be written", path.parent):
+        path.parent.mkdir(parents=True, exist_ok=True)
         write_json(path, {**about, "tables": [table.as_json() for table in tables]})
     return path

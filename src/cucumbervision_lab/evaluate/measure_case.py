@@ -1,13 +1,11 @@
-"""Measure a simulated case by every method under the same conditions, and its records."""
+"""Measure a simulated case by every method under the same conditions."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from importlib.util import find_spec
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -16,13 +14,13 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import dijkstra
 
-from cucumbervision.capture.frames import Capture, valid_depth
+from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision.errors import CucumberVisionError, MissingExtraError, wrap_reader_errors
-from cucumbervision.files import parse_model, read_text
+from cucumbervision.errors import MissingExtraError, wrap_reader_errors
 from cucumbervision.fruit.instance import Instance, MaskSource
 from cucumbervision.fruit.masks import box_iou, box_of_mask, distances_inside, mask_iou, mask_window
 from cucumbervision.methods.intervals import mask_features, tube_features
+from cucumbervision.methods.paper_methods import M4_WINDOW_PX, window_depths
 from cucumbervision.methods.result import Fruit, MethodName, Selector
 from cucumbervision.methods.selector import choose, measure_fruit
 from cucumbervision.methods.table import AVAILABLE, masked_points
@@ -31,9 +29,12 @@ from cucumbervision_lab.evaluate.cases import Case, Simulated, simulate
 
 Find = Callable[[Capture], Sequence[Instance]]
 
+Row = dict[str, Any]
+"""One fruit of one capture, measured by every method on one kind of masks, as `measure_case`."""
+
 _NUMBERS = (
     *("centreline_m", "thread_m", "chord_m", "distance_m", "tilt_deg", "bend_radius_m"),
-    *("hidden_share", "fill", "depth_scale", "length_m"),
+    *("hidden_share", "fill", "depth_scale"),
 )
 
 
@@ -45,119 +46,19 @@ class Masks(StrEnum):
     PERCEIVED = "perceived"
 
 
-@dataclass(frozen=True)
-class LengthRecord:
-    """One fruit of one capture, measured by every method under the same conditions.
+def readings_frame(rows: Iterable[Row]) -> pd.DataFrame:
+    """Return measured fruit as a data frame with one row per fruit, kind of masks and method.
 
     Parameters
     ----------
-    case : str
-        Name of the capture, unique within the suite.
-    suite : str
-        Part of the benchmark.
-    masks : Masks
-        Kind of masks and keypoints.
-    fruit : str
-        Name of the fruit; captures of one fruit are not independent samples.
-    centreline_m, thread_m, chord_m : float or None
-        True lengths in metres; None if unknown.
-    distance_m : float
-        Distance of the fruit's centre from the camera, metres.
-    tilt_deg : float
-        Angle between chord and picture plane, degrees, 0 to 90.
-    bend_radius_m : float or None
-        Radius of curvature of the axis, metres; None for straight fruit.
-    hidden_share : float
-        Occluded share of the fruit's pixels, 0 to 1.
-    fill : float
-        Share of the mask's pixels with a depth reading, 0 to 1.
-    condition : str
-        'plain', 'sun', 'wet'.
-    depth_scale : float
-        Depth scale of the camera, the ratio of measured to true depth.
-    lengths_m : dict of str to float or None
-        Length by each method, metres; None if it failed, no key if it was not run. Keys: 'M1' …
-        'M5', 'M6' (centreline), 'M6 thread', 'M6 chord', selectors and baselines.
-    details : dict
-        Further values by name.
-    """
-
-    case: str
-    suite: str
-    masks: Masks
-    fruit: str
-    centreline_m: float | None
-    thread_m: float | None
-    chord_m: float | None
-    distance_m: float
-    tilt_deg: float
-    bend_radius_m: float | None
-    hidden_share: float
-    fill: float
-    condition: str = "plain"
-    depth_scale: float = 1.0
-    lengths_m: dict[str, float | None] = field(default_factory=dict)
-    details: dict[str, Any] = field(default_factory=dict)
-
-
-def append_record(path: Path, record: LengthRecord) -> None:
-    """Append a record as a line of JSON in a single write."""
-    with path.open("a", encoding="utf-8") as stream:
-        stream.write(json.dumps(asdict(record)) + "\n")
-
-
-def read_records(paths: Iterable[Path]) -> list[LengthRecord]:
-    """Read records; an incomplete last line of an interrupted run is skipped.
-
-    Raises
-    ------
-    CucumberVisionError
-        If another line is invalid.
-
-    Examples
-    --------
-    >>> import tempfile, pathlib
-    >>> path = pathlib.Path(tempfile.mkdtemp()) / "a.jsonl"
-    >>> facts = 0.2, 0.22, 0.2, 0.5, 0.0, None, 0.0, 1.0
-    >>> record = LengthRecord("a", "paper", Masks.EXACT, "f1", *facts)
-    >>> append_record(path, record)
-    >>> read_records([path]) == [record]
-    True
-    """
-    records = []
-    for path in paths:
-        lines = read_text(path, CucumberVisionError).split("\n")
-        for number, line in enumerate(lines, 1):
-            if not line.strip():
-                continue
-            place, remedy = f"{path}, line {number}", "delete the line, or the file, and run again"
-            try:
-                with wrap_reader_errors(place, remedy=remedy):
-                    values = json.loads(line)
-                records.append(
-                    parse_model(LengthRecord, values, source=place, error=CucumberVisionError)
-                )
-            except CucumberVisionError:
-                if number == len(lines):
-                    continue
-                raise
-    return records
-
-
-def readings_frame(records: Iterable[LengthRecord]) -> pd.DataFrame:
-    """Return records as a data frame with one row per record and method.
-
-    Parameters
-    ----------
-    records : iterable of LengthRecord
-        Records with at least one length.
+    rows : iterable of Row
+        At least one, as `measure_case` returns them.
 
     Returns
     -------
     DataFrame
-        The fields of `LengthRecord` except `lengths_m` and `details`, unknown numbers as NaN;
-        `method` and `length_m` (metres, NaN if the method failed); and a column for each key of
-        `details`.
+        Their keys as columns, unknown numbers as NaN; `method` and `length_m` (metres, NaN if the
+        method failed) in place of `lengths_m`.
 
     Raises
     ------
@@ -166,27 +67,23 @@ def readings_frame(records: Iterable[LengthRecord]) -> pd.DataFrame:
 
     Examples
     --------
-    >>> read = {"M1": 0.19, "M6": None}
-    >>> facts = 0.2, None, None, 0.5, 0.0, None, 0.0, 1.0
-    >>> record = LengthRecord("a", "paper", Masks.EXACT, "f1", *facts, lengths_m=read)
-    >>> readings_frame([record])[["case", "method", "length_m", "centreline_m", "thread_m"]]
-      case method  length_m  centreline_m  thread_m
-    0    a     M1      0.19           0.2       NaN
-    1    a     M6       NaN           0.2       NaN
+    >>> row = dict.fromkeys(_NUMBERS) | {"case": "a", "lengths_m": {"M1": 0.19, "M6": None}}
+    >>> readings_frame([row])[["case", "method", "length_m", "thread_m"]]
+      case method  length_m  thread_m
+    0    a     M1      0.19       NaN
+    1    a     M6       NaN       NaN
     """
     require_extra()
     import pandas as pd
 
-    rows = []
-    for record in records:
-        shared = {**vars(record), **record.details}
-        del shared["lengths_m"], shared["details"]
-        rows += [
-            shared | {"method": method, "length_m": length_m}
-            for method, length_m in record.lengths_m.items()
-        ]
+    readings = [
+        {**row, "method": method, "length_m": length_m}
+        for row in rows
+        for method, length_m in row["lengths_m"].items()
+    ]
     with wrap_reader_errors("the records", remedy="run the benchmark again"):
-        return pd.DataFrame(rows).astype(dict.fromkeys(_NUMBERS, float))
+        frame = pd.DataFrame(readings).drop(columns="lengths_m")
+        return frame.astype(dict.fromkeys((*_NUMBERS, "length_m"), float))
 
 
 def require_extra() -> None:
@@ -271,7 +168,7 @@ class CaseOptions:
     baselines: bool = False
 
 
-def measure_case(case: Case, options: CaseOptions, find: Find | None = None) -> list[LengthRecord]:
+def measure_case(case: Case, options: CaseOptions, find: Find | None = None) -> list[Row]:
     """Simulate a case and measure its fruit with each kind of mask.
 
     Parameters
@@ -286,17 +183,44 @@ def measure_case(case: Case, options: CaseOptions, find: Find | None = None) -> 
 
     Returns
     -------
-    list of LengthRecord
-        A record for each kind of mask; empty if too few pixels are visible.
+    list of Row
+        A row for each kind of mask; empty if too few pixels are visible. Keys: case, suite, masks,
+        fruit (captures of one fruit are not independent samples), condition ('plain', 'sun',
+        'wet'), depth_scale (ratio of measured to true depth), the true lengths centreline_m,
+        thread_m and chord_m, distance_m of the fruit's centre, tilt_deg (angle between chord and
+        picture plane), bend_radius_m (None for straight fruit), hidden_share, and those of
+        `fruit_readings`.
     """
     taken = simulate(case, paint=Masks.PERCEIVED in options.masks)
-    if np.count_nonzero(taken.truth.visible) < NO_RECORD_BELOW_PX:
+    truth, capture = taken.truth, taken.capture
+    if np.count_nonzero(truth.visible) < NO_RECORD_BELOW_PX:
         return []
-    records = []
+    about = {
+        "case": case.name,
+        "suite": case.suite,
+        "fruit": case.fruit,
+        "condition": case.condition,
+        "depth_scale": taken.depth_scale,
+        "centreline_m": truth.centreline_m,
+        "thread_m": truth.thread_m,
+        "chord_m": truth.chord_m,
+        "distance_m": case.distance_m,
+        "tilt_deg": _chord_tilt_deg(truth.axis_m),
+        "bend_radius_m": case.bend_radius_m,
+        "hidden_share": truth.hidden_share,
+    }
+    tools = available_baselines() if options.baselines else {}
+    rows = []
     for kind in options.masks:
         instance = _instance(taken, kind, case, find)
-        records.append(_record(case, taken, kind, instance, options.baselines))
-    return records
+        row, _ = fruit_readings(capture, instance, truth.visible)
+        mask = None if instance is None else instance.mask
+        row["lengths_m"] |= {
+            name: None if mask is None else measure(capture.depth_m, mask, capture.intrinsics)
+            for name, measure in tools.items()
+        }
+        rows.append({**about, "masks": kind, **row})
+    return rows
 
 
 def _instance(taken: Simulated, kind: Masks, case: Case, find: Find | None) -> Instance | None:
@@ -329,48 +253,48 @@ def found_at(box: Array, instances: Sequence[Instance]) -> Instance | None:
     return None if best is None or box_iou(best.box, box) < _FOUND_IOU else best
 
 
-def _record(
-    case: Case, taken: Simulated, kind: Masks, instance: Instance | None, baselines: bool
-) -> LengthRecord:
-    truth, capture = taken.truth, taken.capture
-    tools = available_baselines() if baselines else {}
-    lengths: dict[str, float | None] = dict.fromkeys((*READ, *tools))
-    details: dict[str, Any] = {"mask_failure": "not found", "mask_iou": 0.0}
-    fill = 0.0
-    if instance is not None:
-        measured = measure_fruit(capture, instance)
-        fill = 0.0 if instance.mask is None else measured.fill or 0.0
-        lengths, chosen = fruit_lengths(measured, capture)
-        details = {f"selected_{selector}": method for selector, method in chosen.items()}
-        details |= interval_details(measured)
-        details["mask_iou"] = round(mask_iou(instance.mask, truth.visible), 4)
-    if instance is not None and instance.mask is not None:
-        for name, measure in tools.items():
-            lengths[name] = measure(capture.depth_m, instance.mask, capture.intrinsics)
-    return LengthRecord(
-        case=case.name,
-        suite=case.suite,
-        masks=kind,
-        fruit=case.fruit,
-        centreline_m=truth.centreline_m,
-        thread_m=truth.thread_m,
-        chord_m=truth.chord_m,
-        distance_m=case.distance_m,
-        tilt_deg=_chord_tilt_deg(truth.axis_m),
-        bend_radius_m=case.bend_radius_m,
-        hidden_share=truth.hidden_share,
-        fill=fill,
-        condition=case.condition,
-        depth_scale=taken.depth_scale,
-        lengths_m=lengths,
-        details=details,
-    )
+def fruit_readings(
+    capture: Capture, instance: Instance | None, true_mask: Mask
+) -> tuple[Row, Fruit | None]:
+    """Measure a fruit by every method.
+
+    Parameters
+    ----------
+    capture : Capture
+        The capture.
+    instance : Instance, optional
+        The fruit's mask and keypoints; None if it was not found.
+    true_mask : ndarray of bool, shape (H, W)
+        Its visible pixels.
+
+    Returns
+    -------
+    row : Row
+        lengths_m of `fruit_lengths`, None if not found; fill (share of the mask's pixels with a
+        depth reading, 0 to 1), selected method, mask_iou with the true mask, and what interval
+        models use: mask_features, m6_features and m6_flags.
+    fruit : Fruit or None
+        What was measured.
+    """
+    if instance is None:
+        return {"lengths_m": dict.fromkeys(READ), "fill": 0.0, "selected": None}, None
+    fruit = measure_fruit(capture, instance)
+    m6 = fruit.measurements[MethodName.M6]
+    row: Row = {
+        "lengths_m": fruit_lengths(fruit, capture),
+        "fill": fruit.fill or 0.0,
+        "selected": None if fruit.selected is None else str(fruit.selected.method),
+        "mask_iou": mask_iou(instance.mask, true_mask),
+        "mask_features": mask_features(fruit.mask_source, fruit.flags, instance.confidence),
+    }
+    if m6.fit is not None:
+        row["m6_features"] = {k: round(v, 6) for k, v in tube_features(m6).items()}
+        row["m6_flags"] = list(m6.fit.flags)
+    return row, fruit
 
 
-def fruit_lengths(
-    fruit: Fruit, capture: Capture
-) -> tuple[dict[str, float | None], dict[Selector, str | None]]:
-    """Return the lengths of a fruit by every method and selector, and the selected methods.
+def fruit_lengths(fruit: Fruit, capture: Capture) -> dict[str, float | None]:
+    """Return the lengths of a fruit by every method and selector.
 
     Parameters
     ----------
@@ -381,11 +305,9 @@ def fruit_lengths(
 
     Returns
     -------
-    lengths_m : dict of str to float
+    dict of str to float
         'M1' … 'M6', 'M6 thread', 'M6 chord', 'selector best', 'selector paper'; None if not
         measured.
-    chosen : dict of Selector to str
-        Method selected by each selector.
     """
     lengths: dict[str, float | None] = {
         str(method): measurement.length_m for method, measurement in fruit.measurements.items()
@@ -398,25 +320,9 @@ def fruit_lengths(
     if mask is not None:
         points = len(masked_points(capture.depth_m, mask, capture.intrinsics))
     by_paper, _, _ = choose(fruit.measurements, points, fruit.instance.box, Selector.PAPER)
-    chosen: dict[Selector, str | None] = {}
     for selector, measurement in ((Selector.BEST, fruit.selected), (Selector.PAPER, by_paper)):
         lengths[f"selector {selector}"] = None if measurement is None else measurement.length_m
-        chosen[selector] = None if measurement is None else str(measurement.source)
-    return lengths, chosen
-
-
-def interval_details(fruit: Fruit) -> dict[str, Any]:
-    """Return the details of a measurement that interval models use as features."""
-    m6 = fruit.measurements[MethodName.M6]
-    details: dict[str, Any] = {
-        "m6_reason": str(m6.reason),
-        "mask_failure": fruit.instance.mask_failure,
-        "mask_features": mask_features(fruit.mask_source, fruit.flags, fruit.instance.confidence),
-    }
-    if m6.fit is not None:
-        details["m6_features"] = {k: round(v, 6) for k, v in tube_features(m6).items()}
-        details["m6_flags"] = list(m6.fit.flags)
-    return details
+    return lengths
 
 
 def _chord_tilt_deg(axis_m: Sequence[Array] | Array) -> float:
@@ -426,7 +332,6 @@ def _chord_tilt_deg(axis_m: Sequence[Array] | Array) -> float:
 
 Baseline = Callable[[Array32, Mask, Intrinsics], float | None]
 
-_HALF_WINDOW_PX = 2  # median of a 5x5 window, as in M4
 _SMOOTH_PX = 41  # maximum window of the smoothing along the path
 _MIN_PATH_PX = 5
 
@@ -482,9 +387,6 @@ def skan_length(depth_m: Array32, mask: Mask, intrinsics: Intrinsics) -> float |
     return lifted_length(path_px, depth_m, mask, intrinsics)
 
 
-BASELINES: dict[str, Baseline] = {"skan": skan_length}
-
-
 def available_baselines() -> dict[str, Baseline]:
     """Return the baselines whose packages are installed.
 
@@ -493,12 +395,8 @@ def available_baselines() -> dict[str, Baseline]:
     >>> set(available_baselines()) <= {"skan"}
     True
     """
-    needs = {"skan": ("skan", "skimage")}
-    return {
-        name: function
-        for name, function in BASELINES.items()
-        if all(find_spec(package) for package in needs.get(name, ()))
-    }
+    installed = all(find_spec(package) for package in ("skan", "skimage"))
+    return {"skan": skan_length} if installed else {}
 
 
 def lifted_length(
@@ -535,24 +433,14 @@ def lifted_length(
 
     if len(path_px) < _MIN_PATH_PX:
         return None
-    z = _depth_along(path_px.astype(int), np.where(mask & valid_depth(depth_m), depth_m, np.nan))
+    u, v = np.asarray(path_px, np.float64).T
+    z = window_depths(depth_m, u, v, M4_WINDOW_PX, mask)
     finite = np.isfinite(z)
     if not finite.any():
         return None
     place = np.arange(len(z))
     z = np.interp(place, place[finite], z[finite])
-    x, y = intrinsics.rays(path_px[:, 0].astype(float), path_px[:, 1].astype(float))
+    x, y = intrinsics.rays(u, v)
     window = min(_SMOOTH_PX, len(z) - 1 + len(z) % 2)
     points = savgol_filter(np.stack([x * z, y * z, z], axis=1), window, 2, axis=0)
     return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
-
-
-def _depth_along(path_px: NDArray[Any], readings_m: NDArray[Any]) -> Array:
-    half = _HALF_WINDOW_PX
-    depth = np.full(len(path_px), np.nan)
-    for k, (u, v) in enumerate(path_px):
-        window_m = readings_m[max(v - half, 0) : v + half + 1, max(u - half, 0) : u + half + 1]
-        valid = window_m[np.isfinite(window_m)]
-        if valid.size:
-            depth[k] = np.median(valid)
-    return depth

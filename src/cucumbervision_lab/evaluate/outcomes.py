@@ -422,10 +422,13 @@ def _annotations(
     truth: list[dict[str, Any]] = []
     detections: list[dict[str, Any]] = []
     for k, frame in enumerate(frames):
-        truth += [_true_entry(fruit, iou_type, frame) | {"image_id": k + 1} for fruit in frame.true]
+        truth += [
+            _entry(fruit, iou_type, frame, is_true=True) | {"image_id": k + 1}
+            for fruit in frame.true
+        ]
         # A detection without a mask counts as a false positive.
         detections += [
-            _seen_entry(detection, iou_type, frame) | {"image_id": k + 1}
+            _entry(detection, iou_type, frame) | {"image_id": k + 1}
             for detection in frame.detections(stage)
             if iou_type is not IouType.KEYPOINTS or detection.keypoints is not None
         ]
@@ -436,41 +439,26 @@ def _annotations(
     return {**head, "annotations": truth}, {**head, "annotations": detections}
 
 
-def _true_entry(fruit: Label, iou_type: IouType, frame: Frame) -> dict[str, Any]:
+def _entry(
+    label: Label, iou_type: IouType, frame: Frame, *, is_true: bool = False
+) -> dict[str, Any]:
     masks = import_pycocotools()
-    box = _xywh(fruit.box)
-    points = np.zeros((5, 3)) if fruit.keypoints is None else fruit.keypoints
-    unlabelled = iou_type is IouType.KEYPOINTS and not (points[:, 2] > 0).any()
-    unknown = unlabelled or (iou_type is IouType.MASKS and fruit.mask_code is None)
-    code = None if fruit.mask_code is None else coco_code(fruit.mask_code)
-    area = float(masks.area(code)) if code else _BOX_FILL * box[2] * box[3]
+    x1, y1, x2, y2 = (float(edge) + 0.5 for edge in label.box)
+    box = [x1, y1, x2 - x1, y2 - y1]
+    points = np.zeros((5, 3)) if label.keypoints is None else label.keypoints
+    labelled = int(np.count_nonzero(points[:, 2] > 0))
+    code = None if label.mask_code is None else coco_code(label.mask_code)
+    unknown = {IouType.MASKS: code is None, IouType.KEYPOINTS: not labelled}.get(iou_type, False)
     entry: dict[str, Any] = {
         "bbox": box,
-        "area": area,
-        "iscrowd": int(unknown or not fruit.required),
+        "area": float(masks.area(code)) if code else _BOX_FILL * box[2] * box[3],
+        "iscrowd": int(is_true and (unknown or not label.required)),
+        "score": label.score,
+        "keypoints": (points + _TO_CORNER).ravel().tolist(),
+        "num_keypoints": labelled,
     }
     if iou_type is IouType.MASKS:
-        filled = masks.frPyObjects(np.array([box]), frame.height, frame.width)[0]
-        entry["segmentation"] = code or filled
-    if iou_type is IouType.KEYPOINTS:
-        points = np.zeros((5, 3)) if unlabelled else points + _TO_CORNER
-        entry["keypoints"] = points.ravel().tolist()
-        entry["num_keypoints"] = int(np.count_nonzero(points[:, 2] > 0))
-    return entry
-
-
-def _seen_entry(detection: Label, iou_type: IouType, frame: Frame) -> dict[str, Any]:
-    box = _xywh(detection.box)
-    entry: dict[str, Any] = {"bbox": box, "area": box[2] * box[3], "score": detection.score}
-    if iou_type is IouType.MASKS:
         empty = {"size": [frame.height, frame.width], "counts": [frame.height * frame.width]}
-        code = detection.mask_code
-        entry["segmentation"] = empty if code is None else coco_code(code)
-    if iou_type is IouType.KEYPOINTS and detection.keypoints is not None:
-        entry["keypoints"] = (detection.keypoints + _TO_CORNER).ravel().tolist()
+        filled = masks.frPyObjects(np.array([box]), frame.height, frame.width)[0]
+        entry["segmentation"] = code or (filled if is_true else empty)
     return entry
-
-
-def _xywh(box: Array) -> list[float]:
-    x1, y1, x2, y2 = (float(edge) + 0.5 for edge in box)
-    return [x1, y1, x2 - x1, y2 - y1]

@@ -198,28 +198,6 @@ _GREY = 114  # letterbox padding
 
 
 @dataclass(frozen=True, eq=False)
-class Photo:
-    """An audited photo.
-
-    Parameters
-    ----------
-    truth : Frame
-        Labels.
-    path : Path
-        File of the photo.
-    setting : str
-        Background of the fruit: 'board', 'cart', 'plant' …
-    test : str
-        Name of its test.
-    """
-
-    truth: Frame
-    path: Path
-    setting: str
-    test: str
-
-
-@dataclass(frozen=True, eq=False)
 class PhotoResult:
     """Results of the networks on real photos.
 
@@ -227,7 +205,7 @@ class PhotoResult:
     ----------
     confidence : float
         Confidence threshold.
-    photos : tuple of Photo
+    data : DataSet
         The evaluated photos.
     frames, small : tuple of Frame
         Labels and detections of each photo, at full and at half size.
@@ -236,25 +214,21 @@ class PhotoResult:
     """
 
     confidence: float
-    photos: tuple[Photo, ...]
+    data: DataSet
     frames: tuple[Frame, ...]
     small: tuple[Frame, ...] = ()
     missing: int = 0
 
-    def score(self, *, small: bool = False, setting: str = "", test: str = "") -> Score:
-        """Compute recall and precision, of all photos or those of a setting or a test."""
-        pairs = zip(self.photos, self.small if small else self.frames, strict=True)
-        frames = [
-            frame
-            for photo, frame in pairs
-            if setting in ("", photo.setting) and test in ("", photo.test)
-        ]
+    def score(self, *, small: bool = False, **extras: str) -> Score:
+        """Compute recall and precision, of all photos or those of a `setting` or a `test`."""
+        pairs = zip(self.data.pictures, self.small if small else self.frames, strict=True)
+        frames = [frame for photo, frame in pairs if extras.items() <= photo.extras.items()]
         threshold = self.confidence
         return overall(fruit_rows(frames, threshold), detection_rows(frames, threshold))
 
 
-def audited_photos(folder: Path, split: str = "test") -> tuple[list[Photo], int]:
-    """Return the audited photos of a folder.
+def audited_photos(folder: Path, split: str = "test") -> tuple[DataSet, int]:
+    """Return the audited photos of a folder, and how many of the audit's are missing.
 
     Parameters
     ----------
@@ -263,35 +237,28 @@ def audited_photos(folder: Path, split: str = "test") -> tuple[list[Photo], int]
     split : str
         Split of the audit; no network was trained on 'test'.
 
-    Returns
-    -------
-    photos : list of Photo
-        The photos, with zucchini as optional fruit.
-    missing : int
-        Number of audited photos that are missing.
-
     Raises
     ------
     DataSetError
         If the folder contains no audited photo.
     """
     data = audited(folder, split)
-    photos = []
-    for picture in data.pictures:
-        true_fruit = tuple(
-            replace(
-                label,
-                mask_code=None,
-                keypoints=_keypoints(label.extras.get("ends_px")),
-                optional=label.extras["kind"] == "zucchini",
-            )
-            for label in picture.labels
-        )
-        truth = Frame(picture.file, picture.scene, picture.width, picture.height, true_fruit)
-        extras = picture.extras
-        photos.append(Photo(truth, data.path(picture), extras["setting"], extras["test"]))
     count = sum(photo["split"] == split for photo in load_audit().values())
-    return photos, count - len(photos)
+    return data, count - len(data.pictures)
+
+
+def photo_truth(picture: LabelledPicture) -> Frame:
+    """Return the labels of an audited photo for evaluation, with zucchini as optional fruit."""
+    labels = tuple(
+        replace(
+            label,
+            mask_code=None,
+            keypoints=_keypoints(label.extras.get("ends_px")),
+            optional=label.extras["kind"] == "zucchini",
+        )
+        for label in picture.labels
+    )
+    return Frame(picture.file, picture.scene, picture.width, picture.height, labels)
 
 
 def _keypoints(ends_px: Sequence[Sequence[float]] | None) -> Array | None:
@@ -304,13 +271,13 @@ def _keypoints(ends_px: Sequence[Sequence[float]] | None) -> Array | None:
 
 
 def evaluate_photos(
-    photos: Sequence[Photo], networks: Networks, missing: int = 0, report: Progress | None = None
+    data: DataSet, networks: Networks, missing: int = 0, report: Progress | None = None
 ) -> PhotoResult:
     """Run the networks on photos and compute recall and precision.
 
     Parameters
     ----------
-    photos : sequence of Photo
+    data : DataSet
         Photos from `audited_photos`.
     networks : Networks
         Networks to evaluate.
@@ -325,13 +292,12 @@ def evaluate_photos(
         If a photo cannot be read.
     """
     frames, small = [], []
-    for photo in ticked(photos, report):
-        color = read_color(photo.path)
-        frames.append(detect_picture(photo.truth, color, networks).frame)
-        truth, shrunk = half_size(photo.truth, color)
+    for picture in ticked(data.pictures, report):
+        color, truth = read_color(data.path(picture)), photo_truth(picture)
+        frames.append(detect_picture(truth, color, networks).frame)
+        truth, shrunk = half_size(truth, color)
         small.append(detect_picture(truth, shrunk, networks).frame)
-    confidence = networks.confidence
-    return PhotoResult(confidence, tuple(photos), tuple(frames), tuple(small), missing)
+    return PhotoResult(networks.confidence, data, tuple(frames), tuple(small), missing)
 
 
 def half_size(truth: Frame, color: Pixels) -> tuple[Frame, Pixels]:

@@ -12,11 +12,13 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from cucumbervision.capture.frames import Capture, valid_depth
-from cucumbervision.capture.pictures import read_color
+from cucumbervision.capture.depth import depth_to_metres
+from cucumbervision.capture.frames import Capture
+from cucumbervision.capture.pictures import read_color, read_depth
 from cucumbervision.errors import CaptureError, DataSetError, MissingExtraError
 from cucumbervision.fruit.instance import Instance
 from cucumbervision.fruit.mask_codes import Rle
+from cucumbervision.methods.paper_methods import reference_depth
 from cucumbervision.networks.confidence import (
     CANDIDATE_CONFIDENCE,
     DEFAULT_CONFIDENCE,
@@ -27,7 +29,7 @@ from cucumbervision.networks.find import NetworkLoader, NetworkSegmenter, each_f
 from cucumbervision.networks.keypoint_axis import place_keypoints
 from cucumbervision.networks.looks import FruitLooker, PictureLooks
 from cucumbervision.networks.yolo import YoloDetector
-from cucumbervision_lab.arrays import Array, Array32, Pixels
+from cucumbervision_lab.arrays import Array32, Pixels
 from cucumbervision_lab.data.coco import read_coco
 from cucumbervision_lab.data.labels import DataSet, Label, LabelledPicture, picture_size
 
@@ -127,22 +129,14 @@ def detected_label(instance: Instance, depth_m: Array32 | None = None) -> Label:
         Depth in metres. The distance is the median in the middle ninth of the box.
     """
     mask = instance.detector_mask
+    distance_m = None if depth_m is None else reference_depth(depth_m, instance.box)
     return Label(
         instance.box,
         mask_code=None if mask is None else Rle.of(mask),
         keypoints=instance.keypoints,
         score=instance.confidence,
-        distance_m=math.nan if depth_m is None else _centre_depth(instance.box, depth_m),
+        distance_m=math.nan if distance_m is None else distance_m,
     )
-
-
-def _centre_depth(box: Array, depth_m: Array32) -> float:
-    x1, y1, x2, y2 = box
-    first_column, last_column = np.rint([(2 * x1 + x2) / 3, (x1 + 2 * x2) / 3]).astype(int)
-    top, bottom = np.rint([(2 * y1 + y2) / 3, (y1 + 2 * y2) / 3]).astype(int)
-    part = depth_m[max(top, 0) : bottom + 1, max(first_column, 0) : last_column + 1]
-    read = part[valid_depth(part)]
-    return float(np.median(read)) if read.size else math.nan
 
 
 DRAWN = "synth"
@@ -279,10 +273,6 @@ def capture_of(picture: LabelledPicture, data: DataSet, color: Pixels) -> Captur
     """
     if picture.depth_file is None or picture.camera is None:
         return None
-    from cucumbervision.capture.depth import depth_to_metres
-    from cucumbervision.capture.frames import Capture
-    from cucumbervision.capture.pictures import read_depth
-
     path = data.folder / picture.depth_file
     depth_m = depth_to_metres(read_depth(path), picture.depth_unit_m, source=path)
     gravity = picture.extras.get("gravity")

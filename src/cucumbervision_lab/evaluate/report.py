@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ import pandas as pd
 from cucumbervision._version import __version__
 from cucumbervision.about import LICENCE, installed_versions
 from cucumbervision.accuracy.statistics import Cell, Estimate, ReportTable, estimate, share
+from cucumbervision.errors import wrap_os_errors
 from cucumbervision.files import write_csv
 from cucumbervision.fruit.instance import LEAST_END_CONFIDENCE
 from cucumbervision.methods.result import LengthDefinition
@@ -22,7 +23,6 @@ from cucumbervision_lab.evaluate.benchmark_report import (
     comparable_readings,
     group_tables,
     write_tables,
-    writing_report,
 )
 from cucumbervision_lab.evaluate.measure_case import Masks
 from cucumbervision_lab.evaluate.outcomes import (
@@ -242,7 +242,8 @@ def pose_table(readings: pd.DataFrame) -> ReportTable:
 def photo_tables(photos: PhotoResult) -> list[ReportTable]:
     """Return recall, precision, errors of ends and false positives on real photos."""
     tests, settings = (
-        sorted({getattr(photo, name) for photo in photos.photos}) for name in ("test", "setting")
+        sorted({photo.extras[name] for photo in photos.data.pictures})
+        for name in ("test", "setting")
     )
     named = [("all", photos.score())]
     named += [(f"test: {name}", photos.score(test=name)) for name in tests]
@@ -316,13 +317,13 @@ def write_detection_report(
         If a file cannot be written.
     """
     frames, confidence = result.frames, result.confidence
-    written = write_tables(out / "results.json", _provenance(result), tables)
-    with writing_report(out):
-        _write_csv(out / "fruit.csv", fruit_rows(frames, confidence))
-        _write_csv(out / "detections.csv", detection_rows(frames, confidence))
-        _write_csv(out / "ends.csv", end_rows(frames, confidence))
-        _write_csv(out / "lengths.csv", result.readings.reindex(columns=_LENGTH_COLUMNS))
-    return written
+    rows = {
+        "fruit": fruit_rows(frames, confidence),
+        "detections": detection_rows(frames, confidence),
+        "ends": end_rows(frames, confidence),
+        "lengths": result.readings.reindex(columns=_LENGTH_COLUMNS),
+    }
+    return _written(out / "results.json", _provenance(result), tables, rows)
 
 
 def write_photo_report(photos: PhotoResult, tables: Sequence[ReportTable], out: Path) -> Path:
@@ -333,11 +334,25 @@ def write_photo_report(photos: PhotoResult, tables: Sequence[ReportTable], out: 
     CucumberVisionError
         If a file cannot be written.
     """
-    written = write_tables(out / "photos.json", {"confidence": photos.confidence}, tables)
-    with writing_report(out):
-        _write_csv(out / "photo_fruit.csv", fruit_rows(photos.frames, photos.confidence))
-        _write_csv(out / "photo_detections.csv", detection_rows(photos.frames, photos.confidence))
-    return written
+    rows = {
+        "photo_fruit": fruit_rows(photos.frames, photos.confidence),
+        "photo_detections": detection_rows(photos.frames, photos.confidence),
+    }
+    return _written(out / "photos.json", {"confidence": photos.confidence}, tables, rows)
+
+
+def _written(
+    path: Path,
+    about: Mapping[str, object],
+    tables: Sequence[ReportTable],
+    frames: Mapping[str, pd.DataFrame],
+) -> Path:
+    write_tables(path, about, tables)
+    with wrap_os_errors("cannot be written", path.parent):
+        for name, frame in frames.items():
+            rows = frame.round(6).astype(object).where(frame.notna(), None)
+            write_csv(path.with_name(f"{name}.csv"), list(frame.columns), rows.to_dict("records"))
+    return path
 
 
 def _provenance(result: DetectionResult) -> dict[str, Any]:
@@ -359,9 +374,3 @@ def _provenance(result: DetectionResult) -> dict[str, Any]:
         "duration (s)": round(result.duration_s),
         "versions": installed_versions(),
     }
-
-
-def _write_csv(path: Path, frame: pd.DataFrame) -> None:
-    """Write a frame as CSV with empty missing values."""
-    rows = frame.round(6).astype(object).where(frame.notna(), None)
-    write_csv(path, list(frame.columns), rows.to_dict("records"))

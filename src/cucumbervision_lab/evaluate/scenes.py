@@ -17,15 +17,14 @@ from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.pictures import read_color
 from cucumbervision.errors import ModelError
 from cucumbervision.fruit.instance import Instance, MaskSource
-from cucumbervision.fruit.masks import box_ious, box_of_mask, mask_iou, share_inside
+from cucumbervision.fruit.masks import box_ious, box_of_mask, share_inside
 from cucumbervision.methods.intervals import IntervalModels
 from cucumbervision.methods.pose import stem_first
 from cucumbervision.methods.result import Fruit, FruitPose, Part
-from cucumbervision.methods.selector import measure_fruit
 from cucumbervision.networks.confidence import DEFAULT_CONFIDENCE
 from cucumbervision.networks.registry import load_registry
 from cucumbervision_lab.arrays import Array
-from cucumbervision_lab.data.labels import DataSet, LabelledPicture, ticked
+from cucumbervision_lab.data.labels import DataSet, LabelledPicture
 from cucumbervision_lab.evaluate.benchmark import (
     fit_interval_models,
     package_finder,
@@ -34,14 +33,10 @@ from cucumbervision_lab.evaluate.benchmark import (
 )
 from cucumbervision_lab.evaluate.cases import stress_cases
 from cucumbervision_lab.evaluate.measure_case import (
-    READ,
     CaseOptions,
-    LengthRecord,
     Masks,
-    append_record,
-    fruit_lengths,
-    interval_details,
-    read_records,
+    Row,
+    fruit_readings,
     readings_frame,
 )
 from cucumbervision_lab.evaluate.outcomes import match_detections, match_fruit
@@ -57,7 +52,7 @@ from cucumbervision_lab.evaluate.pictures import (
     read_held_out,
     spread,
 )
-from cucumbervision_lab.processes import each_done
+from cucumbervision_lab.processes import kept_rows
 
 Report = Callable[[str, int, int], None]
 
@@ -176,7 +171,7 @@ def evaluate_detection(
     )
     measured = {picture.file for picture in spread(held_out.pictures, sam_limit)}
     frames: list[Frame] = []
-    records: list[LengthRecord] = []
+    records: list[Row] = []
     seconds: dict[str, list[float]] = {}
     for picture in held_out.pictures:
         color = read_color(held_out.path(picture))
@@ -215,9 +210,7 @@ def found_by_fruit(result: PictureResult, confidence: float) -> dict[int, Instan
     return {required[t]: result.kept[s] for t, s in matches.pairs}
 
 
-def length_records(
-    frame: Frame, capture: Capture, perceived: Mapping[int, Instance]
-) -> list[LengthRecord]:
+def length_records(frame: Frame, capture: Capture, perceived: Mapping[int, Instance]) -> list[Row]:
     """Measure the fruit of a picture on true and on predicted masks.
 
     Parameters
@@ -231,17 +224,17 @@ def length_records(
 
     Returns
     -------
-    list of LengthRecord
-        Two records for each fruit to be detected with known lengths. The predicted record of a
-        missed fruit has no lengths.
+    list of Row
+        Two rows for each fruit to be detected with known lengths. The predicted one of a missed
+        fruit has no lengths.
     """
     records = []
     for number, fruit in enumerate(frame.true):
         if not fruit.required or fruit.mask_code is None or "centreline_m" not in fruit.extras:
             continue
         instance = perceived.get(number)
-        records.append(_record(frame, number, capture, _true_instance(frame, number), Masks.EXACT))
-        records.append(_record(frame, number, capture, instance, Masks.PERCEIVED))
+        records.append(_row(frame, number, capture, _true_instance(frame, number), Masks.EXACT))
+        records.append(_row(frame, number, capture, instance, Masks.PERCEIVED))
     return records
 
 
@@ -317,43 +310,33 @@ def _with_gravity(
     }
 
 
-def _record(
+def _row(
     frame: Frame, number: int, capture: Capture, instance: Instance | None, masks: Masks
-) -> LengthRecord:
-    fruit = frame.true[number]
-    lengths: dict[str, float | None] = dict.fromkeys(READ)
-    details: dict[str, Any] = {"scene": frame.scene, "missed": instance is None}
-    details["cut_off"] = bool(fruit.cut_off)
-    details["selected"] = None
-    fill = None
-    if instance is not None and fruit.mask is not None:
-        measured = measure_fruit(replace(capture, gravity=None), instance)
-        lengths.update(fruit_lengths(measured, capture)[0])
-        details["selected"] = str(measured.selected.method) if measured.selected else None
-        details["flags"] = list(measured.flags)
-        details["mask_iou"] = mask_iou(instance.mask, fruit.mask)
-        details |= interval_details(measured)
-        if measured.pose is not None and "axis_m" in fruit.extras:
-            axis_m = np.array(fruit.extras["axis_m"])
-            details |= pose_errors(measured.pose, axis_m)
-            details |= _with_gravity(measured, axis_m, capture, details["swapped"])
-        fill = measured.fill
-    return LengthRecord(
-        case=f"{frame.name}#{number}",
-        suite="detection",
-        masks=masks,
-        fruit=f"{frame.name}#{number}",
-        centreline_m=fruit.extras.get("centreline_m"),
-        thread_m=fruit.extras.get("thread_m"),
-        chord_m=fruit.extras.get("chord_m"),
-        distance_m=fruit.distance_m,
-        tilt_deg=float("nan"),
-        bend_radius_m=None,
-        hidden_share=float("nan") if fruit.hidden_share is None else fruit.hidden_share,
-        fill=float("nan") if fill is None else fill,
-        lengths_m=lengths,
-        details=details,
-    )
+) -> Row:
+    fruit, name = frame.true[number], f"{frame.name}#{number}"
+    assert fruit.mask is not None
+    readings, measured = fruit_readings(replace(capture, gravity=None), instance, fruit.mask)
+    if measured is not None and measured.pose is not None and "axis_m" in fruit.extras:
+        axis_m = np.array(fruit.extras["axis_m"])
+        readings |= pose_errors(measured.pose, axis_m)
+        readings |= _with_gravity(measured, axis_m, capture, readings["swapped"])
+    return {
+        "case": name,
+        "suite": "detection",
+        "masks": masks,
+        "fruit": name,
+        "scene": frame.scene,
+        "missed": instance is None,
+        "cut_off": bool(fruit.cut_off),
+        "condition": "plain",
+        "depth_scale": 1.0,
+        "distance_m": fruit.distance_m,
+        "tilt_deg": None,
+        "bend_radius_m": None,
+        "hidden_share": fruit.hidden_share,
+        **{key: fruit.extras.get(key) for key in ("centreline_m", "thread_m", "chord_m")},
+        **readings,
+    }
 
 
 # Case numbers not used by any benchmark.
@@ -393,7 +376,7 @@ def learn_intervals(
 
 def set_records(
     folder: Path, split: str, keep: Path, workers: int = 1, report: Report | None = None
-) -> list[LengthRecord]:
+) -> list[Row]:
     """Measure the fruit of a synthetic set on true masks and on masks of the packaged networks.
 
     Parameters
@@ -416,26 +399,12 @@ def set_records(
         If the set cannot be read.
     """
     held = read_held_out(folder, split)
-    done = read_records([keep]) if keep.exists() else []
-    names = {_picture_of(record) for record in done}
-    missing = [picture for picture in held.pictures if picture.file not in names]
     tell = None if report is None else (lambda n: report("pictures", n, len(held.pictures)))
-    if tell is not None and names:
-        tell(len(held.pictures) - len(missing))
-    keep.parent.mkdir(parents=True, exist_ok=True)
-    for records_of_picture in ticked(each_done(partial(_measured, held), missing, workers), tell):
-        for record in records_of_picture:
-            append_record(keep, record)
-        done += records_of_picture
-    chosen = {picture.file for picture in held.pictures}
-    return [record for record in done if _picture_of(record) in chosen]
+    jobs = {picture.file: picture for picture in held.pictures}
+    return kept_rows(keep, jobs, partial(_measured, held), workers, tell)
 
 
-def _picture_of(record: LengthRecord) -> str:
-    return record.case.partition("#")[0]
-
-
-def _measured(data: DataSet, picture: LabelledPicture) -> list[LengthRecord]:
+def _measured(data: DataSet, picture: LabelledPicture) -> list[Row]:
     capture = capture_of(picture, data, read_color(data.path(picture)))
     if capture is None:
         return []

@@ -171,18 +171,36 @@ class Variety(StrEnum):
 
 
 @dataclass(frozen=True)
-class _Sizes:
-    # Range of radius and least radius of curvature in metres, range of `neck`.
+class Sizes:
+    """Ranges of a variety, in metres.
+
+    Parameters
+    ----------
+    length_m, radius_m : tuple of float
+        Ranges of length and radius.
+    bend_radius_m : float
+        Least radius of curvature.
+    neck : tuple of float
+        Range of the relative reduction of the radius at the stem end.
+    share : float
+        Share of scenes with this variety.
+    distance_m : tuple of float
+        Range of distances: small fruit are viewed from nearby.
+    """
+
+    length_m: tuple[float, float]
     radius_m: tuple[float, float]
     bend_radius_m: float
     neck: tuple[float, float]
+    share: float
+    distance_m: tuple[float, float]
 
 
-_SIZES = {
-    Variety.LONG: _Sizes((0.020, 0.025), 0.15, (0.15, 0.50)),
-    Variety.MEDIUM: _Sizes((0.018, 0.023), 0.13, (0.10, 0.40)),
-    Variety.MINI: _Sizes((0.015, 0.020), 0.12, (0.05, 0.30)),
-    Variety.SMALL: _Sizes((0.012, 0.016), 0.10, (0.05, 0.25)),
+SIZES = {
+    Variety.LONG: Sizes((0.25, 0.40), (0.020, 0.025), 0.15, (0.15, 0.50), 0.42, (0.42, 1.2)),
+    Variety.MEDIUM: Sizes((0.18, 0.25), (0.018, 0.023), 0.13, (0.10, 0.40), 0.28, (0.36, 1.1)),
+    Variety.MINI: Sizes((0.12, 0.18), (0.015, 0.020), 0.12, (0.05, 0.30), 0.2, (0.32, 0.9)),
+    Variety.SMALL: Sizes((0.06, 0.12), (0.012, 0.016), 0.10, (0.05, 0.25), 0.1, (0.3, 0.7)),
 }
 
 
@@ -246,8 +264,7 @@ def bent_tube(length_m: float, radii_m: Array, curvature_per_m: Array) -> Tube:
     tube = Tube(centres, radii_m, np.array([0.0, -1.0, 0.0]))
     blossom, stem = tube.poles_m
     angle = np.arctan2(stem[1] - blossom[1], stem[0] - blossom[0])
-    cos, sin = np.cos(-angle), np.sin(-angle)
-    turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    turn = rotation(roll_deg=-float(np.rad2deg(angle)))
     level = centres @ turn.T
     poles = tube.poles_m @ turn.T
     middle = np.array([poles[:, 0].mean(), (level[:, 1].min() + level[:, 1].max()) / 2, 0.0])
@@ -294,7 +311,7 @@ def random_fruit(
     >>> round(fruit.centreline_m, 6), round(float(2e3 * fruit.radii_m.max()))  # mm across
     (0.32, 41)
     """
-    sizes = _SIZES[variety_of(length_m) if variety is None else Variety(variety)]
+    sizes = SIZES[variety_of(length_m) if variety is None else Variety(variety)]
     share = np.linspace(0.0, 1.0, balls)
     radii = _radii(rng, length_m, sizes, share)
     if bend_radius_m is None:
@@ -314,7 +331,7 @@ def _bending(rng: Generator, share: Array) -> Array:
     return np.asarray(shape / np.abs(shape).mean())
 
 
-def _radii(rng: Generator, length_m: float, sizes: _Sizes, share: Array) -> Array:
+def _radii(rng: Generator, length_m: float, sizes: Sizes, share: Array) -> Array:
     radius = float(rng.uniform(*sizes.radius_m))
     bulge = 1 + rng.uniform(-0.04, 0.06) * np.sin(np.pi * share)
     bulge += rng.uniform(-0.025, 0.025) * np.sin(2 * np.pi * share)

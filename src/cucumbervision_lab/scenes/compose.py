@@ -13,28 +13,14 @@ import numpy as np
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision_lab.arrays import Array, Generator
 from cucumbervision_lab.scenes import placing
-from cucumbervision_lab.scenes.bodies import Tube, Variety, random_fruit, rotation
+from cucumbervision_lab.scenes.bodies import SIZES, Tube, Variety, random_fruit, rotation
 from cucumbervision_lab.scenes.raycast import Leaf, Stem
 from cucumbervision_lab.scenes.scene import Scene
 
 MOST_FRUIT = 12
 _TRIES = 30
-_LENGTHS_M = {
-    Variety.LONG: (0.25, 0.40),
-    Variety.MEDIUM: (0.18, 0.25),
-    Variety.MINI: (0.12, 0.18),
-    Variety.SMALL: (0.06, 0.12),
-}
 # Of fruit that are bent to a bow; of scenes with a petiole, a stem or a pipe across a fruit.
 _BOW_SHARE, _PETIOLE_SHARE, _STEM_SHARE, _PIPE_SHARE = 0.1, 0.25, 0.25, 0.1
-# Frequency of each variety, and its distance range: small fruit are viewed from nearby.
-_SHARES = {Variety.LONG: 0.42, Variety.MEDIUM: 0.28, Variety.MINI: 0.2, Variety.SMALL: 0.1}
-_REACH_M = {
-    Variety.LONG: (0.42, 1.2),
-    Variety.MEDIUM: (0.36, 1.1),
-    Variety.MINI: (0.32, 0.9),
-    Variety.SMALL: (0.3, 0.7),
-}
 
 
 class Setting(StrEnum):
@@ -142,9 +128,9 @@ def compose(
     (True, 'bench')
     """
     setting = Setting(setting)
-    varieties = list(_SHARES)
-    variety = varieties[int(rng.choice(len(varieties), p=list(_SHARES.values())))]
-    nearest, farthest = _REACH_M[variety]
+    shares = [sizes.share for sizes in SIZES.values()]
+    variety = list(SIZES)[int(rng.choice(len(shares), p=shares))]
+    nearest, farthest = SIZES[variety].distance_m
     nearest, farthest = nearest * difficulty.nearer, farthest * difficulty.farther
     distance = float(np.exp(rng.uniform(np.log(nearest), np.log(farthest))))
     count = _count(rng, setting, difficulty)
@@ -161,7 +147,7 @@ def _count(rng: Generator, setting: Setting, difficulty: Difficulty) -> int:
 
 
 def _random_of_variety(rng: Generator, variety: Variety) -> Tube:
-    length_m = float(rng.uniform(*_LENGTHS_M[variety]))
+    length_m = float(rng.uniform(*SIZES[variety].length_m))
     bend_m = length_m * float(rng.uniform(0.4, 0.9)) if rng.random() < _BOW_SHARE else None
     return random_fruit(rng, length_m, variety, bend_radius_m=bend_m, balls=400)
 
@@ -271,11 +257,11 @@ def _loose_leaves(
 
 
 def _strings_before(rng: Generator, distance_m: float) -> tuple[Stem, ...]:
-    from cucumbervision_lab.scenes.placing import string
-
     count = int(rng.random() < 0.3) + int(rng.random() < 0.1)
     return tuple(
-        string(rng, rng.uniform(-0.4, 0.4) * distance_m, distance_m * rng.uniform(0.75, 0.95))
+        placing.string(
+            rng, rng.uniform(-0.4, 0.4) * distance_m, distance_m * rng.uniform(0.75, 0.95)
+        )
         for _ in range(count)
     )
 
@@ -349,7 +335,10 @@ def _tilt_view(rng: Generator, scene: Scene) -> tuple[Scene, tuple[float, float,
     turned = scene.moved(rotation(float(roll)), (0.0, 0.0, 0.0))
     up = rotation(float(roll)) @ np.array([0.0, -1.0, 0.0])
     middle = _middle(scene)
-    for turn in (rotation(tilt_deg=float(rng.normal(0, 6))), _pitch(float(rng.normal(0, 11)))):
+    for turn in (
+        rotation(tilt_deg=float(rng.normal(0, 6))),
+        rotation(spin_deg=float(rng.normal(0, 11))),
+    ):
         tilted = turned.moved(turn, middle - turn @ middle)
         # Skip a rotation that would move bodies behind the camera.
         if _all_in_front(tilted):
@@ -360,11 +349,6 @@ def _tilt_view(rng: Generator, scene: Scene) -> tuple[Scene, tuple[float, float,
 def _middle(scene: Scene) -> Array:
     z = float(np.mean([f.centres_m[:, 2].mean() for f in scene.fruit])) if scene.fruit else 0.8
     return np.array([0.0, 0.0, z])
-
-
-def _pitch(angle_deg: float) -> Array:
-    cos, sin = np.cos(np.deg2rad(angle_deg)), np.sin(np.deg2rad(angle_deg))
-    return np.array([[1.0, 0.0, 0.0], [0.0, cos, -sin], [0.0, sin, cos]])
 
 
 def _all_in_front(scene: Scene) -> bool:

@@ -10,14 +10,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
 from cucumbervision.tube.shape import arc_positions, points_along
-from cucumbervision_lab.scenes.paste import Cutout
+from cucumbervision_lab.scenes.paste import Cutout, softened
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -137,7 +137,7 @@ def cover_end(
         return None
     color, alpha, covered_share = laid
     if kind is CoverKind.LEAF_BEHIND:
-        alpha = alpha * (1 - _soft(picture.mask.astype(np.float32), 0.7))
+        alpha = alpha * (1 - softened(picture.mask.astype(np.float32), 0.7))
     hidden = alpha > 0.5
     visible = picture.mask & ~hidden
     if kind is CoverKind.STEM_OVER:  # a network's mask ends at the stem
@@ -222,7 +222,7 @@ def _stem(
     tone = _STEM_COLORS[int(rng.integers(len(_STEM_COLORS)))]
     light = _light_near(picture.color, axis_px[0], radius_px) * rng.uniform(0.8, 1.5)
     color = tone * light / tone.mean() * lit[..., None] + rng.normal(0, 6, (*cover.shape, 1))
-    return color.astype(np.float32), _soft(cover / np.float32(255), 0.6), share
+    return color.astype(np.float32), softened(cover / np.float32(255), 0.6), share
 
 
 def _turned(
@@ -243,15 +243,15 @@ def _turned(
     )
     shift = centre - linear @ np.array([(width - 1) / 2, (height - 1) / 2])
     matrix, size = np.column_stack([linear, shift]), (shape[1], shape[0])
-    smooth = _soft(piece.color, 0.35 / scale) if scale < 0.7 else piece.color.astype(np.float32)
+    smooth = softened(piece.color, 0.35 / scale) if scale < 0.7 else piece.color.astype(np.float32)
     color = cv2.warpAffine(smooth, matrix, size, borderMode=cv2.BORDER_REPLICATE)
     alpha = cv2.warpAffine(piece.mask.astype(np.float32), matrix, size)
     covered = alpha > 0.5
     mean = float(color[covered].mean()) if covered.any() else 100.0
     gain = float(np.clip(light / max(mean, 20.0) * np.exp(rng.normal(0, 0.3)), 0.3, 2.5))
     color = np.clip(color * gain * np.exp(rng.normal(0, 0.04, 3)), 0, 255)
-    blurred = _soft(color, blur_px) if blur_px > 0 else np.asarray(color, np.float32)
-    return blurred, _soft(alpha, max(blur_px, 0.6))
+    blurred = softened(color, blur_px) if blur_px > 0 else np.asarray(color, np.float32)
+    return blurred, softened(alpha, max(blur_px, 0.6))
 
 
 def _depths(
@@ -271,7 +271,7 @@ def _shaded(
 ) -> Plane:
     if rng.random() > _SHADOW_SHARE:
         return color.astype(np.float32)
-    shadow = np.clip(_soft(alpha, max(0.35 * radius_px, 1.0)) - alpha, 0, 1)
+    shadow = np.clip(softened(alpha, max(0.35 * radius_px, 1.0)) - alpha, 0, 1)
     return np.asarray(color * (1 - 0.45 * rng.random() * shadow[..., None]), np.float32)
 
 
@@ -319,7 +319,3 @@ def _largest_part(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return (
         mask if count < 2 else np.asarray(labels == 1 + int(stats[1:, cv2.CC_STAT_AREA].argmax()))
     )
-
-
-def _soft(plane: NDArray[Any], sigma_px: float) -> Plane:
-    return np.asarray(cv2.GaussianBlur(plane.astype(np.float32), (0, 0), sigma_px), np.float32)

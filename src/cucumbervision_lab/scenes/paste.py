@@ -380,10 +380,11 @@ def _behind(light: Array32, fruit: _Placed, rng: Generator) -> Array32:
     width = 2 * max(int(0.02 * np.sqrt(amodal.sum()) + 1), 1) + 1
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width, width))
     opened = cv2.morphologyEx(front, cv2.MORPH_OPEN, kernel)
-    return _softened(cv2.morphologyEx(opened, cv2.MORPH_CLOSE, kernel), 0.8)
+    return softened(cv2.morphologyEx(opened, cv2.MORPH_CLOSE, kernel), 0.8)
 
 
-def _softened(mask: ArrayLike, sigma_px: float) -> Array32:
+def softened(mask: ArrayLike, sigma_px: float) -> Array32:
+    """Return a mask or picture after a Gaussian filter."""
     return np.asarray(cv2.GaussianBlur(np.asarray(mask, np.float32), (0, 0), sigma_px), np.float32)
 
 
@@ -405,7 +406,7 @@ def _leaf_over(picture: Array32, fruit: _Placed, rng: Generator) -> tuple[Array3
     cv2.fillPoly(cover, [np.rint(points).astype(np.int32)], 1)
     moved = rng.integers(-height // 3, height // 3), rng.integers(-width // 3, width // 3)
     piece = np.roll(picture, moved, axis=(0, 1)) * rng.uniform(0.85, 1.25)
-    return piece.astype(np.float32), _softened(cover, 0.8)
+    return piece.astype(np.float32), softened(cover, 0.8)
 
 
 def _string_over(picture: Array32, fruit: _Placed, rng: Generator) -> tuple[Array32, Array32]:
@@ -421,7 +422,7 @@ def _string_over(picture: Array32, fruit: _Placed, rng: Generator) -> tuple[Arra
     base = (225, 225, 215) if rng.random() < 0.5 else (120, 150, 80)
     tone = np.array(base) * rng.uniform(0.5, 1.1)
     color = np.broadcast_to(tone.astype(np.float32), picture.shape)
-    return color, _softened(cover, 0.6)
+    return color, softened(cover, 0.6)
 
 
 def _blend(picture: Array32, fruit: _Placed, hidden: Array32, rng: Generator) -> Array32:

@@ -320,13 +320,7 @@ class Ground:
         # The far side of a bench is at the top of the picture (y points down).
         normal = np.array([0.0, -np.sin(off), -np.cos(off)])
         across = np.array([1.0, 0.0, 0.0])
-        turn = np.array(
-            [
-                [np.cos(angle), -np.sin(angle), 0.0],
-                [np.sin(angle), np.cos(angle), 0.0],
-                [0.0, 0.0, 1.0],
-            ]
-        )
+        turn = rotation(roll_deg=float(np.rad2deg(angle)))
         frame = np.stack([across, np.cross(normal, across), normal]) @ turn.T
         return cls(np.array([0.0, 0.0, distance_m]), frame)
 

@@ -25,8 +25,7 @@ from cucumbervision_lab.train.measured_ends import (
     HELD_OUT,
     camera_of,
     labelled_fruit,
-    read_measured,
-    write_measured,
+    measured_fruit,
 )
 
 if TYPE_CHECKING:
@@ -116,7 +115,7 @@ def collect_end_crops(fruit: Sequence[MeasuredFruit], data: DataSet, seed: int =
     Parameters
     ----------
     fruit : sequence of MeasuredFruit
-        Of `read_measured`, those of a picture one after the other.
+        Of `measured_fruit`, those of a picture one after the other.
     data : DataSet
         Their set.
     seed : int
@@ -269,7 +268,7 @@ def collect_set(
         A set by `cucumbervision synth` with depth; or without, of real fruit pasted into photos,
         which are not measured.
     keep : Path
-        The file of what is measured (`write_measured`).
+        The file of what is measured (`measured_fruit`).
     seed : int
         Random seed of the labels' errors and of the moves.
     progress : callable, optional
@@ -289,16 +288,16 @@ def collect_set(
     TrainingError, CaptureError
         As `collect_end_crops`.
     """
-    write_measured(data, keep, progress=progress)
+    measured = measured_fruit(data, keep, progress)
     rng = np.random.default_rng(seed)
     by_label = [
         picture
         for picture in data.pictures
         if picture.depth_file is None or not is_held_out(picture, HELD_OUT)
     ]
-    fruit = [measured for picture in by_label for measured in labelled_fruit(picture, rng)]
+    fruit = [labelled for picture in by_label for labelled in labelled_fruit(picture, rng)]
     covered = collect_covered_ends(fruit, data, pieces, seed) if pieces else None
-    fruit += read_measured([keep])
+    fruit += measured
     crops = collect_end_crops(fruit, data, seed)
     return fruit, crops if covered is None else EndCrops.stacked([crops, covered])
 

@@ -232,7 +232,9 @@ def evaluate_detector(
         score = overall(fruit_rows(frames, threshold), detection_rows(frames, threshold))
         scores.append(DetectorScore.of(name, score))
     if photos is not None:
-        result = evaluate_photos(spread(audited_photos(photos)[0], limit), networks)
+        tested, _ = audited_photos(photos)
+        some = replace(tested, pictures=spread(tested.pictures, limit))
+        result = evaluate_photos(some, networks)
         scores.append(DetectorScore.of("photos", result.score()))
         scores.append(DetectorScore.of("photos at half size", result.score(small=True)))
     return tuple(scores)

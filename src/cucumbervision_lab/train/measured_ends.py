@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,6 @@ from scipy.spatial import cKDTree
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.pictures import read_color
-from cucumbervision.errors import DataSetError, wrap_reader_errors
 from cucumbervision.fruit.instance import Instance, MaskSource
 from cucumbervision.fruit.mask_codes import Rle
 from cucumbervision.fruit.masks import box_ious, distances_inside, mask_pixels
@@ -28,9 +26,10 @@ from cucumbervision.run.measurer import Measurer
 from cucumbervision.run.options import MeasureOptions
 from cucumbervision.tube.shape import arc_positions, points_along
 from cucumbervision_lab.arrays import Array, Generator, Mask, Progress
-from cucumbervision_lab.data.labels import DataSet, Label, LabelledPicture, ticked
+from cucumbervision_lab.data.labels import DataSet, Label, LabelledPicture
 from cucumbervision_lab.data.splits import is_held_out
 from cucumbervision_lab.evaluate.pictures import capture_of
+from cucumbervision_lab.processes import kept_rows
 
 AXIS_POINTS = 33
 
@@ -340,8 +339,10 @@ def _measured_fruit(
     )
 
 
-def write_measured(data: DataSet, keep: Path, progress: Progress | None = None) -> None:
-    """Measure every picture of a drawn set that the file does not hold yet.
+def measured_fruit(
+    data: DataSet, keep: Path, progress: Progress | None = None
+) -> list[MeasuredFruit]:
+    """Measure every picture of a drawn set, or read from a file what was measured before.
 
     Those of held-out scenes come first, on the networks' masks alone; after every fourth of them
     one to train on, on the labels' masks too.
@@ -353,42 +354,24 @@ def write_measured(data: DataSet, keep: Path, progress: Progress | None = None) 
     keep : Path
         The file: one line of JSON a picture.
     progress : callable, optional
-        Called with 1 after each picture.
-    """
-    done = {picture for picture, _ in _lines([keep])} if keep.exists() else set()
-    if keep.exists():
-        text = keep.read_text(encoding="utf-8")
-        keep.write_text(text[: text.rfind("\n") + 1], encoding="utf-8")
-    pictures = [picture for picture in data.pictures if picture.file not in done]
-    held = [is_held_out(picture, HELD_OUT) for picture in pictures]
-    turn = [
-        sum(h == is_held for h in held[:k]) * (1 if is_held else 4)
-        for k, is_held in enumerate(held)
-    ]
-    for k in ticked(np.argsort(turn, kind="stable").tolist(), progress):
-        fruit = measure_drawn(pictures[k], data, given=not held[k])
-        line = {"picture": pictures[k].file, "fruit": [asdict(measured) for measured in fruit]}
-        with keep.open("a", encoding="utf-8") as stream:
-            stream.write(json.dumps(line) + "\n")
-
-
-def read_measured(files: Iterable[Path]) -> list[MeasuredFruit]:
-    """Read fruit that `write_measured` wrote; a last line that was cut short is left out.
+        Called with the number of pictures finished since the last call.
 
     Raises
     ------
     DataSetError
-        If a file cannot be read.
+        If the file is damaged.
     """
-    adapter = TypeAdapter(list[MeasuredFruit])
-    return [
-        fruit for _, content in _lines(files) for fruit in adapter.validate_python(content["fruit"])
+    held = [is_held_out(picture, HELD_OUT) for picture in data.pictures]
+    turn = [
+        sum(h == is_held for h in held[:k]) * (1 if is_held else 4)
+        for k, is_held in enumerate(held)
     ]
+    order = np.argsort(turn, kind="stable").tolist()
+    jobs = {data.pictures[k].file: (data.pictures[k], not held[k]) for k in order}
+    rows = kept_rows(keep, jobs, partial(_measured_rows, data), progress=progress)
+    return TypeAdapter(list[MeasuredFruit]).validate_python(rows)
 
 
-def _lines(files: Iterable[Path]) -> Iterator[tuple[str, dict[str, Any]]]:
-    for file in files:
-        with wrap_reader_errors(file, DataSetError, "measure the set again"):
-            for line in file.read_text(encoding="utf-8").split("\n")[:-1]:
-                content = json.loads(line)
-                yield content["picture"], content
+def _measured_rows(data: DataSet, job: tuple[LabelledPicture, bool]) -> list[dict[str, Any]]:
+    picture, given = job
+    return [asdict(fruit) for fruit in measure_drawn(picture, data, given=given)]

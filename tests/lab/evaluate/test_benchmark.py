@@ -27,7 +27,6 @@ from cucumbervision_lab.evaluate.benchmark_report import comparable_readings
 from cucumbervision_lab.evaluate.cases import Suite, paper_cases, simulate, stress_cases
 from cucumbervision_lab.evaluate.measure_case import (
     CaseOptions,
-    LengthRecord,
     Masks,
     measure_case,
     readings_frame,
@@ -67,25 +66,16 @@ def test_every_length_of_a_method_has_an_interval(readings: pd.DataFrame) -> Non
 
 
 def test_a_killed_run_resumes_and_a_foreign_file_is_refused(tmp_path: Path) -> None:
-    cases, options = paper_cases(2), CaseOptions((Masks.EXACT,))
+    cases, options = [*paper_cases(1), *stress_cases(1)], CaseOptions((Masks.EXACT,))
     file = tmp_path / "records.jsonl"
-    first = run_cases(cases[:1], options, file, workers=1)
+    first = run_cases(cases[:1], options, file)
     done: list[int] = []
-    both = run_cases(cases, options, file, workers=1, report=done.append)
+    both = run_cases(cases, options, file, report=done.append)
     assert both[0] == first[0]
-    assert [r.case for r in both] == [c.name for c in cases]
+    assert [row["case"] for row in both] == [case.name for case in cases]
     assert done == [1, 1]
     with pytest.raises(CucumberVisionError, match="written with other options"):
-        run_cases(cases, CaseOptions((Masks.DISTURBED,)), file, workers=1)
-
-
-def test_two_workers_measure_what_one_does(tmp_path: Path) -> None:
-    cases, options = stress_cases(5), CaseOptions((Masks.EXACT,))
-    alone = run_cases(cases, options, tmp_path / "a.jsonl", workers=1)
-    both = run_cases(cases, options, tmp_path / "b.jsonl", workers=2)
-    lengths = {r.case: r.lengths_m for r in both}
-    for record in alone:  # to the last digits, which the number of threads may change
-        assert lengths[record.case] == pytest.approx(record.lengths_m, rel=1e-6)
+        run_cases(cases, CaseOptions((Masks.DISTURBED,)), file)
 
 
 def test_perceived_fruit_are_what_was_found_where_the_fruit_is() -> None:
@@ -94,19 +84,17 @@ def test_perceived_fruit_are_what_was_found_where_the_fruit_is() -> None:
     own, beside = Instance(box_of_mask(mask), mask=mask), Instance(box_of_mask(mask) + 400)
 
     (found,) = measure_case(case, options, lambda capture: [beside, own])
-    assert found.lengths_m["M6"] == pytest.approx(found.centreline_m, rel=0.03)
-    assert found.details["mask_iou"] == 1.0
+    assert found["lengths_m"]["M6"] == pytest.approx(found["centreline_m"], rel=0.03)
+    assert found["mask_iou"] == 1.0
 
     (missed,) = measure_case(case, options, lambda capture: [beside])
-    assert set(missed.lengths_m) >= {"M1", "M6", "M6 thread", "selector best"}
-    assert set(missed.lengths_m.values()) == {None}
-    assert missed.details["mask_failure"] == "not found"
+    assert set(missed["lengths_m"]) >= {"M1", "M6", "M6 thread", "selector best"}
+    assert set(missed["lengths_m"].values()) == {None}
 
 
 def drawn(count: int, seed: int) -> pd.DataFrame:
     """Fruit of 15 to 30 cm whose M6 errs by 1 %, twice as much behind leaves, and M1 by -40 %."""
-    rng = np.random.default_rng(seed)
-    records = []
+    rng, rows = np.random.default_rng(seed), []
     for k in range(count):
         hidden = float(rng.uniform(0, 0.5))
         error = 0.01 * (1 + 2 * hidden) * rng.standard_normal()
@@ -115,26 +103,12 @@ def drawn(count: int, seed: int) -> pd.DataFrame:
         lengths = {key: true_m * float(np.exp(error)) for key in KEYS}
         lengths["M1"] = 0.6 * true_m * float(np.exp(0.1 * rng.standard_normal()))
         lengths["M6 thread"], lengths["M6 chord"] = lengths["M6"] * 1.1, lengths["M6"] * 0.97
-        records.append(
-            LengthRecord(
-                f"c{k}",
-                Suite.STRESS,
-                Masks.EXACT,
-                f"f{k}",
-                true_m,
-                1.1 * true_m,
-                0.97 * true_m,
-                0.5,
-                0.0,
-                None,
-                hidden,
-                1.0,
-                depth_scale=float(1 + rng.normal(0, 0.01)),
-                lengths_m=dict(lengths),
-                details={"m6_features": features},
-            )
-        )
-    return readings_frame(records)
+        true = {"centreline_m": true_m, "thread_m": 1.1 * true_m, "chord_m": 0.97 * true_m}
+        row = {"case": f"c{k}", "suite": Suite.STRESS, "masks": Masks.EXACT, "fruit": f"f{k}"}
+        row |= {"distance_m": 0.5, "tilt_deg": 0.0, "bend_radius_m": None, "hidden_share": hidden}
+        row |= {"fill": 1.0, "depth_scale": float(1 + rng.normal(0, 0.01))}
+        rows.append({**row, **true, "lengths_m": lengths, "m6_features": features})
+    return readings_frame(rows)
 
 
 @pytest.mark.parametrize("scale_known", [True, False])

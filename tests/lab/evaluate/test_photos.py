@@ -1,7 +1,8 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -13,9 +14,14 @@ pytest.importorskip("pycocotools")
 
 from cucumbervision.capture.pictures import write_png
 from cucumbervision.fruit.instance import Instance
-from cucumbervision_lab.data.labels import Label
+from cucumbervision_lab.data.labels import DataSet, Label, LabelledPicture
 from cucumbervision_lab.evaluate.outcomes import end_rows
-from cucumbervision_lab.evaluate.photos import Photo, PhotoResult, audited_photos, evaluate_photos
+from cucumbervision_lab.evaluate.photos import (
+    PhotoResult,
+    audited_photos,
+    evaluate_photos,
+    photo_truth,
+)
 from cucumbervision_lab.evaluate.pictures import Frame, Networks
 from cucumbervision_lab.evaluate.report import photo_tables
 
@@ -28,6 +34,15 @@ def photo(name: str, scene: str, true: list[Label], *found: int) -> Frame:
     return Frame(name, scene, 300, 300, tuple(true), kept=seen)
 
 
+def photo_set(*photos: tuple[str, str, str], folder: Path = Path(), **fields: Any) -> DataSet:
+    """Give photos of a name, a setting and a test."""
+    pictures = (
+        LabelledPicture(name, 80, 60, extras={"setting": setting, "test": test}, **fields)
+        for name, setting, test in photos
+    )
+    return DataSet(folder, tuple(pictures))
+
+
 def scored() -> PhotoResult:
     cucumber, courgette = Label(SPOTS[0]), Label(SPOTS[1], optional=True)
     crate = Label(np.array([0.0, 60, 300, 115]), ignore=True)
@@ -38,10 +53,8 @@ def scored() -> PhotoResult:
         photo("d.jpg", "three", [], 6),
     )
     settings = ("crate", "board", "board", "none")
-    photos = tuple(
-        Photo(frame, Path(frame.name), setting, "loose fruit")
-        for frame, setting in zip(frames, settings, strict=True)
-    )
+    names = [frame.name for frame in frames]
+    photos = photo_set(*zip(names, settings, ["loose fruit"] * 4, strict=True))
     return PhotoResult(0.25, photos, frames, missing=2)
 
 
@@ -75,12 +88,12 @@ def test_small_fruit_are_the_same_photos_at_half_size(tmp_path: Path) -> None:
     color = np.full((60, 80, 3), 114, np.uint8)
     color[20:30, 10:50] = 30
     write_png(tmp_path / "a.png", color)
-    true = (Label(np.array([9.5, 19.5, 49.5, 29.5])),)
-    photos = [
-        Photo(Frame("a.png", "one", 80, 60, true), tmp_path / "a.png", "plant", "on the plant"),
-        Photo(Frame("a.png", "two", 80, 60), tmp_path / "a.png", "none", "negatives"),
-    ]
-    found = evaluate_photos(photos, Networks(Reader(), None, None, 0.3))  # type: ignore[arg-type]
+    fruit = Label(np.array([9.5, 19.5, 49.5, 29.5]), extras={"kind": "cucumber"})
+    data = photo_set(
+        ("a.png", "plant", "on the plant"), ("a.png", "none", "negatives"), folder=tmp_path
+    )
+    data = replace(data, pictures=(replace(data.pictures[0], labels=(fruit,)), data.pictures[1]))
+    found = evaluate_photos(data, Networks(Reader(), None, None, 0.3))  # type: ignore[arg-type]
     for small in (False, True):
         assert found.score(small=small, test="on the plant").recall.value == 1.0
         negatives = found.score(small=small, test="negatives").precision
@@ -101,7 +114,7 @@ def test_ends_on_photos_are_judged_by_the_straight_line_between_them() -> None:
     points = np.column_stack([line + np.array([0.0, 3.0]), np.ones(5)])
     fruit = Label(SPOTS[0], score=0.9, keypoints=points)
     frame = Frame("a.jpg", "one", 300, 300, (true,), posed=(fruit,), kept=(fruit,))
-    found = PhotoResult(0.25, (Photo(frame, Path("a.jpg"), "trial", "first audit"),), (frame,))
+    found = PhotoResult(0.25, photo_set(("a.jpg", "trial", "first audit")), (frame,))
     (row,) = end_rows(found.frames, 0.25).itertuples()
     assert (row.length_px, row.blossom_percent, row.stem_percent, row.swapped) == (
         100.0,
@@ -116,10 +129,10 @@ def test_ends_on_photos_are_judged_by_the_straight_line_between_them() -> None:
 def test_audited_photos(shared_data: Path) -> None:
     photos, missing = audited_photos(shared_data)
     assert missing == 0
-    boxes = [one for photo in photos for one in photo.truth.true]
+    boxes = [label for picture in photos.pictures for label in photo_truth(picture).true]
     assert sum(box.required for box in boxes) > 40
     assert any(box.optional for box in boxes)
     assert any(box.ignore for box in boxes)
     for split in ("train", "val"):
         others, _ = audited_photos(shared_data, split)
-        assert not {p.truth.scene for p in photos} & {p.truth.scene for p in others}
+        assert not {p.scene for p in photos.pictures} & {p.scene for p in others.pictures}

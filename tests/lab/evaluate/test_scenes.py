@@ -13,12 +13,11 @@ from typing import Any, cast
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from tests.constant_network import constant_network
 from typer.testing import CliRunner
 
 pytest.importorskip("pycocotools")
 pytest.importorskip("onnx")
-
-import onnx
 
 from cucumbervision.accuracy.statistics import Cell
 from cucumbervision.capture.intrinsics import Intrinsics
@@ -44,23 +43,8 @@ NAMES = ("a", "b", "c")
 
 def network(path: Path, *outputs: NDArray[Any], **props: object) -> Path:
     """Write a network that gives these arrays, whatever it sees."""
-    helper, kind = onnx.helper, onnx.TensorProto
-    images = helper.make_tensor_value_info("images", kind.FLOAT, (1, 3, 192, 320))
-    nodes = [
-        helper.make_node("ReduceMax", ["images"], ["most"], keepdims=0),
-        helper.make_node("Mul", ["most", "zero"], ["nothing"]),
-    ]
-    constants, values = [onnx.numpy_helper.from_array(np.float32(0), "zero")], []
-    for i, array in enumerate(outputs):
-        constants.append(onnx.numpy_helper.from_array(array.astype(np.float32), f"c{i}"))
-        nodes.append(helper.make_node("Add", [f"c{i}", "nothing"], [f"output{i}"]))
-        values.append(helper.make_tensor_value_info(f"output{i}", kind.FLOAT, array.shape))
-    graph = helper.make_graph(nodes, "g", [images], values, constants)
-    opset = [helper.make_opsetid("", 17)]
-    model = helper.make_model(graph, opset_imports=opset, ir_version=8)
-    given = {"names": {0: "cucumber"}, "stride": 32, "end2end": True, **props}
-    helper.set_model_props(model, {k: str(v) for k, v in given.items()})
-    path.write_bytes(model.SerializeToString())
+    props = {"names": {0: "cucumber"}, "stride": 32, "end2end": True, **props}
+    path.write_bytes(constant_network(*outputs, props=props, shape=(1, 3, 192, 320)))
     return path
 
 

@@ -14,23 +14,21 @@ from cucumbervision.capture.frames import Capture
 from cucumbervision.cli.app import app
 from cucumbervision.fruit.instance import Instance, MaskSource
 from cucumbervision_lab.evaluate import scenes as run
-from cucumbervision_lab.evaluate.measure_case import Masks, read_records
+from cucumbervision_lab.evaluate.measure_case import Masks, Row
 from cucumbervision_lab.evaluate.pictures import frame_of
 from cucumbervision_lab.evaluate.scenes import set_records
 from cucumbervision_lab.scenes.generate import FrameOptions, SynthOptions, generate
 
 
 class TruthFinder:
-    """Finds every fruit that is to be found, as SAM would draw it, and counts the pictures."""
+    """Finds every fruit that is to be found, as SAM would draw it."""
 
     def __init__(self, folder: Path) -> None:
         self.data = generate(
             SynthOptions(frames=3, seed=3, frame=FrameOptions(width=640, height=360)), folder
         )
-        self.seen: list[str] = []
 
     def find(self, capture: Capture) -> SimpleNamespace:
-        self.seen.append(capture.name)
         (picture,) = (p for p in self.data.pictures if Path(p.file).stem == capture.name)
         found = []
         for label, fruit in zip(
@@ -50,43 +48,24 @@ def finder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TruthFinder]:
 
 
 @pytest.fixture(scope="module")
-def kept(finder: TruthFinder, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The records of the whole set, in a file."""
-    file = tmp_path_factory.mktemp("kept") / "records.jsonl"
-    set_records(finder.data.folder, "all", file)
-    return file
+def rows(finder: TruthFinder, tmp_path_factory: pytest.TempPathFactory) -> list[Row]:
+    return set_records(finder.data.folder, "all", tmp_path_factory.mktemp("kept") / "rows.jsonl")
 
 
-def test_the_same_mask_reads_the_same_whoever_drew_it(kept: Path) -> None:
-    records = read_records([kept])
-    by_masks = {kind: [r for r in records if r.masks is kind] for kind in Masks}
-    given, perceived = by_masks[Masks.EXACT], by_masks[Masks.PERCEIVED]
+def test_the_same_mask_reads_the_same_whoever_drew_it(rows: list[Row]) -> None:
+    given, perceived = (
+        [row for row in rows if row["masks"] == kind] for kind in (Masks.EXACT, Masks.PERCEIVED)
+    )
     assert len(given) == len(perceived) > 2
     for one, other in zip(given, perceived, strict=True):
-        assert one.fruit == other.fruit
-        assert one.lengths_m["M6 thread"] == pytest.approx(other.lengths_m["M6 thread"], rel=1e-6)
-        assert one.details["mask_features"]["perceived"] == 0.0
-        assert other.details["mask_features"]["perceived"] == 1.0
-    whole = [r for r in given if not r.details["cut_off"] and r.hidden_share < 0.05]
-    errors = [(r.lengths_m["M6"] or np.nan) / (r.centreline_m or np.nan) - 1 for r in whole]
+        assert one["fruit"] == other["fruit"]
+        thread_m = one["lengths_m"]["M6 thread"]
+        assert thread_m == pytest.approx(other["lengths_m"]["M6 thread"], rel=1e-6)
+        assert one["mask_features"]["perceived"] == 0.0
+        assert other["mask_features"]["perceived"] == 1.0
+    whole = [row for row in given if not row["cut_off"] and row["hidden_share"] < 0.05]
+    errors = [(row["lengths_m"]["M6"] or np.nan) / row["centreline_m"] - 1 for row in whole]
     assert abs(np.median(errors)) < 0.05
-
-
-def test_a_second_run_measures_what_is_missing(
-    kept: Path, finder: TruthFinder, tmp_path: Path
-) -> None:
-    file = tmp_path / "records.jsonl"
-    every = read_records([kept])
-    lines = kept.read_text().splitlines(keepends=True)
-    last = [r.case.partition("#")[0] for r in every][-1]
-    left = [s for s, r in zip(lines, every, strict=True) if not r.case.startswith(last)]
-    file.write_text("".join(left))
-    finder.seen.clear()
-    again = set_records(finder.data.folder, "all", file)
-    assert Path(last).stem in finder.seen
-    assert len(finder.seen) < 3
-    read = [[(r.fruit, r.masks, r.lengths_m) for r in some] for some in (again, every)]
-    assert read[0] == read[1]
 
 
 def test_learning_asks_for_a_drawn_set(tmp_path: Path) -> None:

@@ -1,0 +1,33 @@
+"""Networks that give the same arrays, whatever they see."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+
+def constant_network(
+    *outputs: NDArray[Any],
+    props: Mapping[str, object] | None = None,
+    shape: tuple[int | str, ...] = (1, 3, 64, 64),
+) -> bytes:
+    onnx = pytest.importorskip("onnx")
+    helper, kind = onnx.helper, onnx.TensorProto.FLOAT
+    nodes = [
+        helper.make_node("ReduceMax", ["images"], ["most"], keepdims=0),
+        helper.make_node("Mul", ["most", "zero"], ["nothing"]),
+    ]
+    constants, values = [onnx.numpy_helper.from_array(np.float32(0), "zero")], []
+    for i, array in enumerate(outputs):
+        constants.append(onnx.numpy_helper.from_array(array.astype(np.float32), f"c{i}"))
+        nodes.append(helper.make_node("Add", [f"c{i}", "nothing"], [f"output{i}"]))
+        values.append(helper.make_tensor_value_info(f"output{i}", kind, array.shape))
+    images = [helper.make_tensor_value_info("images", kind, shape)]
+    graph = helper.make_graph(nodes, "g", images, values, constants)
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    helper.set_model_props(model, {name: str(value) for name, value in (props or {}).items()})
+    return bytes(model.SerializeToString())

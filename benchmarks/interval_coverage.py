@@ -21,7 +21,7 @@ from rich.console import Console
 from rich.table import Table
 
 from cucumbervision.methods.intervals import WIDEST, shipped_interval_models
-from cucumbervision_lab.cli.screen import part_bars
+from cucumbervision_lab.cli import part_bars
 from cucumbervision_lab.evaluate.benchmark import TRUTH_OF, run_cases, with_intervals
 from cucumbervision_lab.evaluate.cases import stress_cases
 from cucumbervision_lab.evaluate.measure_case import CaseOptions, Masks, readings_frame

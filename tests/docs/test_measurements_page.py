@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import doctest
 import re
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -34,9 +32,3 @@ def test_flags_are_those_of_the_table() -> None:
 )
 def test_codes_are_explained(code: str) -> None:
     assert f"`{code}`" in PAGE or (code in set(MethodName) and str(code) in PAGE)
-
-
-def test_examples(run_page: Callable[[Path], doctest.TestResults]) -> None:
-    result = run_page(ROOT / "docs" / "measurements.md")
-    assert result.attempted > 8
-    assert result.failed == 0

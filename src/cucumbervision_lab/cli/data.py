@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from cucumbervision_lab.cli import show, ticking
+
 if TYPE_CHECKING:
     from cucumbervision_lab.data.labels import DataSet
 
@@ -40,11 +42,11 @@ def check(folder: Folder, names: Names = "") -> None:
     from rich.text import Text
 
     from cucumbervision.cli.console import screen
-    from cucumbervision_lab.cli.screen import ticking
-    from cucumbervision_lab.data.checks import check_folder
+    from cucumbervision_lab.data.checks import check_dataset
 
+    dataset = _open(folder, names)
     with ticking("looking") as tick:
-        dataset, findings = check_folder(folder, _list(names), progress=tick)
+        findings = check_dataset(dataset, progress=tick)
     console = screen(_WIDE)
     if findings:
         table = Table("where", "fault", "remedy")
@@ -84,7 +86,6 @@ def convert(
     ] = "train,val,test",
 ) -> None:
     """Convert a data set to another format."""
-    from cucumbervision_lab.cli.screen import show, ticking
     from cucumbervision_lab.data.derive import convert_dataset, parse_keep
 
     dataset = _open(folder, names)
@@ -120,7 +121,6 @@ def split(
     from rich.table import Table
 
     from cucumbervision.cli.console import screen
-    from cucumbervision_lab.cli.screen import ticking
     from cucumbervision_lab.data.coco import write_coco
     from cucumbervision_lab.data.labels import SPLITS
     from cucumbervision_lab.data.splits import (
@@ -151,19 +151,19 @@ def split(
 def pseudo(folder: Folder, out: OutOrSame = None) -> None:
     """Add masks by SAM to labels with boxes only, as pseudo-labels; the test split is skipped."""
     from cucumbervision.networks.find import open_segmenter
-    from cucumbervision_lab.cli.screen import show, ticking
     from cucumbervision_lab.data.coco import write_coco
     from cucumbervision_lab.data.derive import add_pseudo_masks
 
     dataset = _open(folder)
     segmenter = open_segmenter()
     with ticking("drawing", len(dataset.pictures)) as tick:
-        drawn = add_pseudo_masks(dataset, segmenter, progress=tick)
-    written = write_coco(drawn.dataset, out or dataset.folder)
+        drawn, refused = add_pseudo_masks(dataset, segmenter, progress=tick)
+    written = write_coco(drawn, out or dataset.folder)
+    before, after = (sum(x.pseudo for p in d.pictures for x in p.labels) for d in (dataset, drawn))
     show(
-        f"{drawn.drawn} masks drawn, {len(drawn.refused)} did not fit their box and are to be "
+        f"{after - before} masks drawn, {len(refused)} did not fit their box and are to be "
         f"ignored, in {written.folder}",
-        *(f"  {file}: {fault}" for file, fault in drawn.refused),
+        *(f"  {file}: {fault}" for file, fault in refused),
     )
     _finish(dataset)
 
@@ -174,7 +174,6 @@ def merge(
     folders: Annotated[list[Path], typer.Argument(help="Sets to merge.", metavar="SET...")],
 ) -> None:
     """Merge data sets; source and licence of each picture are kept."""
-    from cucumbervision_lab.cli.screen import show, ticking
     from cucumbervision_lab.data.derive import merge_datasets
 
     sets = [_open(folder) for folder in folders]
@@ -192,7 +191,6 @@ def from_photos(
     out: Out,
 ) -> None:
     """Write the audited photos, except those of test scenes, as a labelled set with masks."""
-    from cucumbervision_lab.cli.screen import show
     from cucumbervision_lab.train.network import photo_set
 
     made = photo_set(folder, out)
@@ -216,7 +214,6 @@ def from_store(
 
     from cucumbervision.cli.console import screen
     from cucumbervision_greenhouse.store.repository import open_store
-    from cucumbervision_lab.cli.screen import show
     from cucumbervision_lab.data.derive import dataset_from_store
 
     with open_store(store, create=False) as opened:
@@ -243,8 +240,6 @@ def _open(folder: Path, names: str = "") -> DataSet:
 
 def _finish(*sets: DataSet) -> None:
     """List skipped entries and exit with code 1 if there are any."""
-    from cucumbervision_lab.cli.screen import show
-
     for dataset in sets:
         if dataset.refused:
             show(f"{len(dataset.refused)} invalid entries skipped:", error=True)
@@ -287,7 +282,6 @@ def synth(
     workers: Annotated[int, typer.Option(min=1, help="Number of processes.")] = os.cpu_count() or 1,
 ) -> None:
     """Generate synthetic cucumbers with colour, depth, masks, keypoints and lengths."""
-    from cucumbervision_lab.cli.screen import show, ticking
     from cucumbervision_lab.data.splits import parse_shares
     from cucumbervision_lab.scenes.generate import FrameOptions, SynthOptions, generate, parse_size
 

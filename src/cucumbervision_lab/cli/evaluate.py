@@ -9,6 +9,7 @@ import typer
 
 from cucumbervision.cli.choices import InputSize, Runtime
 from cucumbervision.networks.confidence import DEFAULT_CONFIDENCE
+from cucumbervision_lab.cli import part_bars, show, show_tables, ticking
 
 Seg = Annotated[
     Path | None, typer.Option(help="YOLO segmentation .onnx; default: the packaged network.")
@@ -42,7 +43,6 @@ def evaluate_models(
 ) -> None:
     """Evaluate the networks on labelled pictures: precision, recall, keypoints, masks, lengths."""
     from cucumbervision.networks.confidence import parse_input_sizes
-    from cucumbervision_lab.cli.screen import part_bars, show, show_tables
     from cucumbervision_lab.evaluate.report import detection_tables, write_detection_report
     from cucumbervision_lab.evaluate.scenes import evaluate_detection
 
@@ -79,7 +79,6 @@ def evaluate_photos(
 ) -> None:
     """Evaluate the networks on audited real photos: recall and precision by test."""
     from cucumbervision.networks.confidence import parse_input_sizes
-    from cucumbervision_lab.cli.screen import show, show_tables, ticking
     from cucumbervision_lab.evaluate.photos import audited_photos
     from cucumbervision_lab.evaluate.photos import evaluate_photos as evaluate
     from cucumbervision_lab.evaluate.pictures import open_networks
@@ -131,7 +130,6 @@ def benchmark(
     from cucumbervision_lab.evaluate.measure_case import require_extra
 
     require_extra()  # before an hour of measuring
-    from cucumbervision_lab.cli.screen import part_bars, show, show_tables
     from cucumbervision_lab.evaluate import benchmark as run
     from cucumbervision_lab.evaluate.benchmark_report import benchmark_tables, write_tables
 

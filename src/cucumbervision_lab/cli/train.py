@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cucumbervision.cli.choices import InputSize
+from cucumbervision_lab.cli import part_bars, show
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -72,7 +73,6 @@ def network(
     freeze: Annotated[int, typer.Option(min=0, help="Number of layers to freeze.")] = 0,
 ) -> None:
     """Train a detector by Ultralytics: boxes with masks, or with keypoints."""
-    from cucumbervision_lab.cli.screen import show
     from cucumbervision_lab.train.network import NETWORK, TrainOptions, open_sets, train
 
     # A training that goes on has its data in RUN.
@@ -110,7 +110,6 @@ def house(
 
     Rerun the command to resume. `models use RUN` then switches to the new detector.
     """
-    from cucumbervision_lab.cli.screen import show
     from cucumbervision_lab.train.house import train_house
     from cucumbervision_lab.train.network import TrainOptions
 
@@ -187,7 +186,6 @@ def classifier(
     from rich.console import Console
     from rich.table import Table
 
-    from cucumbervision_lab.cli.screen import part_bars
     from cucumbervision_lab.data.checks import open_dataset
     from cucumbervision_lab.train.classifier import ClassifierOptions, write_classifier_card
 
@@ -273,7 +271,6 @@ def average(
     share: Annotated[float, typer.Option(help="Weight of SECOND, 0 to 1.")] = 0.5,
 ) -> None:
     """Average two checkpoints, which reduces forgetting after fine-tuning."""
-    from cucumbervision_lab.cli.screen import show
     from cucumbervision_lab.train.network import average_networks
 
     show(average_networks(first, second, out, share))
@@ -292,7 +289,6 @@ def export(
 ) -> None:
     """Export a network to ONNX with its card."""
     from cucumbervision.networks.confidence import parse_input_sizes
-    from cucumbervision_lab.cli.screen import show
     from cucumbervision_lab.train.export import export_trained
 
     export_trained(

@@ -52,42 +52,6 @@ def open_dataset(path: Path, names: Sequence[str] = ()) -> DataSet:
     return read_coco(path) if is_coco else read_yolo(path, names)
 
 
-def check_folder(
-    path: Path,
-    names: Sequence[str] = (),
-    *,
-    duplicates: bool = True,
-    progress: Progress | None = None,
-) -> tuple[DataSet, list[CucumberVisionError]]:
-    """Read a data set and find all its faults.
-
-    Parameters
-    ----------
-    path : Path
-        Data set in COCO or YOLO format.
-    names : sequence of str
-        Class names, if the data set has none.
-    duplicates : bool
-        Also compare the pictures to find duplicates across splits, about 10 ms per picture.
-    progress : callable, optional
-        Called with 1 after each compared picture.
-
-    Returns
-    -------
-    dataset : DataSet
-        The data set.
-    findings : list of CucumberVisionError
-        Its faults, one error each.
-
-    Raises
-    ------
-    DataSetError
-        If the folder contains no data set.
-    """
-    dataset = open_dataset(path, names)
-    return dataset, check_dataset(dataset, duplicates=duplicates, progress=progress)
-
-
 def check_dataset(
     dataset: DataSet, *, duplicates: bool = True, progress: Progress | None = None
 ) -> list[CucumberVisionError]:
@@ -97,8 +61,10 @@ def check_dataset(
     ----------
     dataset : DataSet
         Data set to check.
-    duplicates, progress
-        See `check_folder`.
+    duplicates : bool
+        Also compare the pictures to find duplicates across splits, about 10 ms per picture.
+    progress : callable, optional
+        Called with 1 after each compared picture.
 
     Returns
     -------
@@ -107,7 +73,7 @@ def check_dataset(
     """
     findings = list(dataset.refused)
     for picture in dataset.pictures:
-        findings += _picture_faults(dataset, picture)
+        findings += picture_faults(dataset, picture)
     findings += [*_class_faults(dataset), *_split_faults(dataset), *_scene_leaks(dataset)]
     if duplicates:
         findings += _duplicate_leaks(dataset, progress)
@@ -115,7 +81,11 @@ def check_dataset(
     return list({str(finding): finding for finding in findings}.values())
 
 
-def _picture_faults(dataset: DataSet, picture: LabelledPicture) -> Iterator[CucumberVisionError]:
+def picture_faults(dataset: DataSet, picture: LabelledPicture) -> Iterator[CucumberVisionError]:
+    """Yield the faults of a picture's files and labels."""
+    depth = picture.depth_file
+    if depth is not None and not (dataset.folder / depth).is_file():
+        yield DataSetError("the file is missing", source=depth, remedy="copy the data set again")
     try:
         size = picture_size(dataset.path(picture))
     except CucumberVisionError as error:
@@ -129,7 +99,7 @@ def _picture_faults(dataset: DataSet, picture: LabelledPicture) -> Iterator[Cucu
         where = f"{picture.file}, label {k + 1}"
         for fault in _label_faults(label, picture, len(dataset.categories)):
             yield DataSetError(fault, source=where, remedy="correct it")
-        if label.pseudo and picture.split == "test":
+        if label.pseudo and not label.ignore and picture.split == "test":
             fault = "the test split contains a pseudo-label"
             yield DataSetError(fault, source=where, remedy="move its scene to train")
 

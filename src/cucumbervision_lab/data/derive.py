@@ -107,29 +107,9 @@ def merge_datasets(
     return write_coco(merged, out, progress=progress)
 
 
-@dataclass(frozen=True, eq=False)
-class PseudoMasks:
-    """Result of `add_pseudo_masks`.
-
-    Parameters
-    ----------
-    dataset : DataSet
-        The data set with masks.
-    drawn : int
-        Number of added masks.
-    refused : tuple of (str, str)
-        File and reason ('mask-off-box', ...) of each fruit whose mask was rejected. The fruit keeps
-        its box and is ignored.
-    """
-
-    dataset: DataSet
-    drawn: int
-    refused: tuple[tuple[str, str], ...]
-
-
 def add_pseudo_masks(
     dataset: DataSet, segmenter: NetworkSegmenter, progress: Progress | None = None
-) -> PseudoMasks:
+) -> tuple[DataSet, list[tuple[str, str]]]:
     """Add masks by SAM to all fruit that have only a box, except in the split 'test'.
 
     Parameters
@@ -143,8 +123,11 @@ def add_pseudo_masks(
 
     Returns
     -------
-    PseudoMasks
-        The data set with masks, and the rejected ones.
+    dataset : DataSet
+        The data set with masks.
+    refused : list of (str, str)
+        File and reason ('mask-off-box', ...) of each fruit whose mask was rejected. The fruit keeps
+        its box and is ignored.
 
     Raises
     ------
@@ -153,15 +136,13 @@ def add_pseudo_masks(
     """
     pictures: list[LabelledPicture] = []
     refused: list[tuple[str, str]] = []
-    drawn = 0
     for picture in ticked(dataset.pictures, progress):
         if picture.split != "test":
             labels, faults = _draw(dataset, picture, segmenter)
-            drawn += sum(label.pseudo for label in labels) - sum(x.pseudo for x in picture.labels)
             refused += [(picture.file, fault) for fault in faults]
             picture = replace(picture, labels=labels)
         pictures.append(picture)
-    return PseudoMasks(replace(dataset, pictures=tuple(pictures)), drawn, tuple(refused))
+    return replace(dataset, pictures=tuple(pictures)), refused
 
 
 def _draw(
@@ -182,9 +163,8 @@ def _draw(
     return tuple(labels), faults
 
 
-_FORMATS = ("coco", "yolo-seg", "yolo-pose", "yolo-detect")
-
-_TASKS = {"yolo-seg": "segment", "yolo-pose": "pose", "yolo-detect": "detect"}
+_TASKS = {"coco": "", "yolo-seg": "segment", "yolo-pose": "pose", "yolo-detect": "detect"}
+"""Formats, with the task of YOLO's."""
 
 
 def parse_keep(words: Sequence[str]) -> dict[str, str]:
@@ -229,7 +209,7 @@ def convert_dataset(
     out : Path
         New output folder.
     form : str
-        One of `_FORMATS`.
+        'coco', 'yolo-seg', 'yolo-pose' or 'yolo-detect'.
     keep : mapping of int or str to str, optional
         Class mapping, see `keep_classes`; by default all classes are kept.
     source, licence : str
@@ -247,8 +227,8 @@ def convert_dataset(
     DataSetError
         If the format is unknown, or as in `write_coco` and `write_yolo`.
     """
-    if form not in _FORMATS:
-        raise DataSetError(f"unknown format {form!r}", remedy=f"use one of {', '.join(_FORMATS)}")
+    if form not in _TASKS:
+        raise DataSetError(f"unknown format {form!r}", remedy=f"use one of {', '.join(_TASKS)}")
     if out.resolve() == dataset.folder.resolve():
         raise DataSetError("is the folder of the input", source=out, remedy="give a new folder")
     pictures = tuple(
@@ -262,9 +242,9 @@ def convert_dataset(
         written = write_coco(dataset, out, progress=progress)
         labels = sum(len(p.labels) for p in written.pictures)
         return f"{len(written.pictures)} pictures, {labels} labels in {out}"
-    done = write_yolo(dataset, out, _TASKS[form], splits=splits, progress=progress)
-    parts = ", ".join(f"{count} {split}" for split, count in done.pictures.items())
-    return f"{parts}, {done.labels} labels; data file for Ultralytics: {done.data_yaml}"
+    counts, lines = write_yolo(dataset, out, _TASKS[form], splits=splits, progress=progress)
+    parts = ", ".join(f"{count} {split}" for split, count in counts.items())
+    return f"{parts}, {lines} labels; data file for Ultralytics: {out / 'data.yaml'}"
 
 
 _SPLIT_SHARES = (0.6, 0.2, 0.2)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -215,25 +215,6 @@ def _origins(folder: Path) -> dict[str, dict[str, Any]]:
 TASKS = ("segment", "pose", "detect")
 
 
-@dataclass(frozen=True)
-class WrittenYolo:
-    """Result of `write_yolo`.
-
-    Parameters
-    ----------
-    data_yaml : Path
-        The data file for Ultralytics.
-    pictures : mapping of str to int
-        Number of pictures in each split.
-    labels : int
-        Number of lines in all label files.
-    """
-
-    data_yaml: Path
-    pictures: dict[str, int]
-    labels: int
-
-
 def write_yolo(
     dataset: DataSet,
     out: Path,
@@ -241,7 +222,7 @@ def write_yolo(
     *,
     splits: Sequence[str] = SPLITS,
     progress: Progress | None = None,
-) -> WrittenYolo:
+) -> tuple[dict[str, int], int]:
     """Write a data set in YOLO format: `images/SPLIT`, `labels/SPLIT` and `data.yaml`.
 
     Parameters
@@ -260,8 +241,10 @@ def write_yolo(
 
     Returns
     -------
-    WrittenYolo
-        The data file and counts.
+    pictures : dict of str to int
+        Number of pictures in each split.
+    labels : int
+        Number of lines in all label files.
 
     Raises
     ------
@@ -299,7 +282,7 @@ def write_yolo(
         cache.unlink()
     write_text(out / PICTURES, json.dumps(origins, ensure_ascii=False, indent=0) + "\n")
     write_text(out / "data.yaml", _data_yaml(dataset, task, counts))
-    return WrittenYolo(out / "data.yaml", counts, lines)
+    return counts, lines
 
 
 def _chosen(dataset: DataSet, splits: Sequence[str]) -> DataSet:

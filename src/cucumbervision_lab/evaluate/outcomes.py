@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -122,43 +122,25 @@ _ENDS = [0, 4]  # blossom and stem
 _EDGE_PX = 1.5  # a box closer to the border counts as cut off
 
 
-def match_fruit(frame: Frame, boxes: Sequence[Array]) -> tuple[Matches, tuple[int, ...]]:
-    """Match boxes with the labelled fruit of a frame.
-
-    Returns
-    -------
-    matches : Matches
-        Pairs of indices into `required` and into `boxes`.
-    required : tuple of int
-        Indices in `frame.true` of the fruit to be detected.
-    """
-    required = tuple(k for k, fruit in enumerate(frame.true) if fruit.required)
+def match_fruit(frame: Frame, boxes: Sequence[Array]) -> Matches:
+    """Match boxes with the labelled fruit of a frame, numbered as in `frame.true`."""
+    required = [k for k, fruit in enumerate(frame.true) if fruit.required]
     matches = match_boxes(
         boxes,
         [frame.true[k].box for k in required],
         optional=[fruit.box for fruit in frame.true if fruit.optional],
         ignored=[fruit.box for fruit in frame.true if fruit.ignore],
     )
-    return matches, required
+    pairs = tuple((required[fruit], box) for fruit, box in matches.pairs)
+    return replace(matches, pairs=pairs, missed=tuple(required[k] for k in matches.missed))
 
 
 def match_detections(
     frame: Frame, confidence: float, stage: Stage
-) -> tuple[Matches, tuple[Label, ...], tuple[int, ...]]:
-    """Match the detections of a frame above a confidence threshold.
-
-    Returns
-    -------
-    matches : Matches
-        Pairs of indices into `required` and into `detections`.
-    detections : tuple of Label
-        Detections above the threshold.
-    required : tuple of int
-        Indices in `frame.true` of the fruit to be detected.
-    """
+) -> tuple[Matches, tuple[Label, ...]]:
+    """Match the detections of a frame above a confidence threshold; return these, too."""
     detections = tuple(s for s in frame.detections(stage) if s.score > confidence)
-    matches, required = match_fruit(frame, [s.box for s in detections])
-    return matches, detections, required
+    return match_fruit(frame, [s.box for s in detections]), detections
 
 
 _FRUIT = (
@@ -186,10 +168,12 @@ def fruit_rows(
     """
     rows = []
     for frame in frames:
-        matches, detections, required = match_detections(frame, confidence, stage)
-        hit = {required[t]: detections[s] for t, s in matches.pairs}
-        for k in required:
-            fruit, by = frame.true[k], hit.get(k)
+        matches, detections = match_detections(frame, confidence, stage)
+        hit = {k: detections[s] for k, s in matches.pairs}
+        for k, fruit in enumerate(frame.true):
+            if not fruit.required:
+                continue
+            by = hit.get(k)
             hidden = math.nan if fruit.hidden_share is None else fruit.hidden_share
             place = fruit.long_px, fruit.distance_m, hidden, fruit.cut_off
             overlaps = (math.nan,) * 3
@@ -212,7 +196,7 @@ def detection_rows(
     """
     rows = []
     for frame in frames:
-        matches, detections, _ = match_detections(frame, confidence, stage)
+        matches, detections = match_detections(frame, confidence, stage)
         outcome = dict.fromkeys(range(len(detections)), "hit")
         outcome |= dict.fromkeys(matches.false, "false") | dict.fromkeys(matches.neutral, "neutral")
         for k, detection in enumerate(detections):
@@ -248,14 +232,14 @@ def end_rows(frames: Sequence[Frame], confidence: float) -> pd.DataFrame:
     """
     rows = []
     for frame in frames:
-        matches, detections, required = match_detections(frame, confidence, Stage.KEPT)
-        for t, s in matches.pairs:
-            true, points = frame.true[required[t]].keypoints, detections[s].keypoints
+        matches, detections = match_detections(frame, confidence, Stage.KEPT)
+        for k, s in matches.pairs:
+            true, points = frame.true[k].keypoints, detections[s].keypoints
             if true is None or points is None:
                 continue
             # A position is known inside the picture and outside.
             if ((true[:, 2] > 0) | true[:, :2].any(axis=1)).all():
-                rows.append((frame.name, frame.scene, required[t], *_end_errors(true, points)))
+                rows.append((frame.name, frame.scene, k, *_end_errors(true, points)))
     return pd.DataFrame(rows, columns=_END)
 
 

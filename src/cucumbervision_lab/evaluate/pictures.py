@@ -15,7 +15,7 @@ import numpy as np
 from cucumbervision.capture.depth import depth_to_metres
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.pictures import read_color, read_depth
-from cucumbervision.errors import CaptureError, DataSetError, MissingExtraError
+from cucumbervision.errors import DataSetError, MissingExtraError
 from cucumbervision.fruit.instance import Instance
 from cucumbervision.fruit.mask_codes import Rle
 from cucumbervision.methods.paper_methods import reference_depth
@@ -30,8 +30,9 @@ from cucumbervision.networks.keypoint_axis import place_keypoints
 from cucumbervision.networks.looks import FruitLooker, PictureLooks
 from cucumbervision.networks.yolo import YoloDetector
 from cucumbervision_lab.arrays import Array32, Pixels
+from cucumbervision_lab.data.checks import picture_faults, require_clean
 from cucumbervision_lab.data.coco import read_coco
-from cucumbervision_lab.data.labels import DataSet, Label, LabelledPicture, picture_size
+from cucumbervision_lab.data.labels import DataSet, Label, LabelledPicture
 
 T = TypeVar("T")
 
@@ -144,8 +145,6 @@ DRAWN = "synth"
 
 _FRUIT, _ALSO_FRUIT = "cucumber", "zucchini"
 
-_SHOWN = 10  # files listed in an error message
-
 
 def read_held_out(folder: Path, split: str = "test", limit: int | None = None) -> DataSet:
     """Read the pictures of one split for evaluation, as a data set of these alone.
@@ -166,12 +165,6 @@ def read_held_out(folder: Path, split: str = "test", limit: int | None = None) -
         is missing or has the wrong size.
     """
     data = read_coco(folder)
-    if data.refused:
-        raise DataSetError(
-            f"{len(data.refused)} entries are invalid, first: {data.refused[0]}",
-            source=folder,
-            remedy="correct them: missing labels would count as false positives",
-        )
     pictures = data.pictures if split == "all" else data.in_split(split)
     if not pictures:
         splits = ", ".join(sorted({p.split for p in data.pictures if p.split})) or "none"
@@ -185,35 +178,15 @@ def read_held_out(folder: Path, split: str = "test", limit: int | None = None) -
     ]
     if pseudo:
         raise DataSetError(
-            f"{len(pseudo)} pictures of the split {split!r} have pseudo-labels: " + _named(pseudo),
+            f"{len(pseudo)} pictures of the split {split!r} have pseudo-labels, first {pseudo[0]}",
             source=folder,
             remedy="move them to 'train'",
         )
-    chosen = spread(pictures, limit)
-    if faults := [fault for picture in chosen if (fault := _file_fault(picture, data))]:
-        raise DataSetError(
-            f"{len(faults)} pictures cannot be evaluated: {_named(faults)}",
-            source=folder,
-            remedy="restore the labelled pictures",
-        )
-    return replace(data, pictures=chosen)
-
-
-def _file_fault(picture: LabelledPicture, data: DataSet) -> str:
-    """Return the fault of a picture's files, or an empty string."""
-    path = data.path(picture)
-    if not path.is_file():
-        return f"{picture.file} is missing"
-    if picture.depth_file is not None and not (data.folder / picture.depth_file).is_file():
-        return f"{picture.depth_file} is missing"
-    try:
-        width, height = picture_size(path)
-    except CaptureError as error:
-        return f"{picture.file} {error.message}"
-    if (width, height) == (picture.width, picture.height):
-        return ""
-    labelled = f"{picture.width}x{picture.height}"
-    return f"{picture.file} has {width}x{height} pixels, but its labels are for {labelled}"
+    chosen = replace(data, pictures=spread(pictures, limit))
+    # Labels that were not read would count as false positives.
+    faults = [fault for picture in chosen.pictures for fault in picture_faults(chosen, picture)]
+    require_clean([*data.refused, *faults], folder)
+    return chosen
 
 
 def spread(items: Sequence[T], limit: int | None) -> tuple[T, ...]:
@@ -285,11 +258,6 @@ def capture_of(picture: LabelledPicture, data: DataSet, color: Pixels) -> Captur
         source=str(path),
         gravity=None if gravity is None else (gravity[0], gravity[1], gravity[2]),
     )
-
-
-def _named(files: list[str]) -> str:
-    remainder = f" and {len(files) - _SHOWN} more" if len(files) > _SHOWN else ""
-    return ", ".join(files[:_SHOWN]) + remainder
 
 
 _LEAST_CONFIDENCE = 0.001

@@ -206,8 +206,8 @@ def evaluate_detection(
 
 def found_by_fruit(result: PictureResult, confidence: float) -> dict[int, Instance]:
     """Return the reported instance of each detected fruit, by its index in `Frame.true`."""
-    matches, _, required = match_detections(result.frame, confidence, Stage.KEPT)
-    return {required[t]: result.kept[s] for t, s in matches.pairs}
+    matches, _ = match_detections(result.frame, confidence, Stage.KEPT)
+    return {fruit: result.kept[index] for fruit, index in matches.pairs}
 
 
 def length_records(frame: Frame, capture: Capture, perceived: Mapping[int, Instance]) -> list[Row]:
@@ -409,8 +409,8 @@ def _measured(data: DataSet, picture: LabelledPicture) -> list[Row]:
     if capture is None:
         return []
     frame, instances = frame_of(picture, data, None), package_finder().find(capture).instances
-    matches, required = match_fruit(frame, [instance.box for instance in instances])
-    perceived = {required[number]: instances[index] for number, index in matches.pairs}
+    matches = match_fruit(frame, [instance.box for instance in instances])
+    perceived = {number: instances[index] for number, index in matches.pairs}
     return length_records(frame, capture, perceived)
 
 
@@ -420,7 +420,7 @@ _AMBIGUOUS_OVERLAP = 0.3  # unmatched detections that overlap a fruit by more ar
 def true_positives(frame: Frame, boxes: Array) -> list[bool | None]:
     """Return whether each box is a true positive; None for duplicates and parts of a fruit."""
     boxes = boxes.reshape(-1, 4)
-    hits = {index for _, index in match_fruit(frame, list(boxes))[0].pairs}
+    hits = {index for _, index in match_fruit(frame, list(boxes)).pairs}
     true_boxes = np.array([fruit.box for fruit in frame.true]).reshape(-1, 4)
     on_fruit = np.maximum(
         box_ious(boxes, true_boxes).max(axis=1, initial=0.0), share_inside(boxes, true_boxes)

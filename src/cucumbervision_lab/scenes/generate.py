@@ -63,8 +63,6 @@ class FrameOptions:
         Probabilities of hanging, bench and crate scenes; their sum is 1.
     depth : bool
         Also simulate the depth of a D435.
-    scale_sd : float
-        Standard deviation of the relative depth scale error; 0 for calibrated cameras.
     hard : bool
         Use `HARD` scenes instead of `PLAIN` ones.
     """
@@ -73,7 +71,6 @@ class FrameOptions:
     height: int = 720
     shares: tuple[float, float, float] = (0.6, 0.22, 0.18)
     depth: bool = True
-    scale_sd: float = 0.0
     hard: bool = False
 
 
@@ -96,8 +93,6 @@ class Frame:
     depth_m : ndarray of float32, shape (H, W), optional
         Simulated depth of a D435 aligned to colour, fused from three frames, metres; 0 for no
         reading.
-    depth_scale : float
-        Ratio of simulated to exact depth.
     """
 
     color: Pixels
@@ -106,7 +101,6 @@ class Frame:
     truth: tuple[FruitTruth, ...]
     exact_m: Array
     depth_m: Array32 | None
-    depth_scale: float
 
 
 def draw_frame(seed: int, index: int, options: FrameOptions, assets: Assets) -> Frame:
@@ -138,13 +132,11 @@ def draw_frame(seed: int, index: int, options: FrameOptions, assets: Assets) -> 
     truth = truth_of(staged.scene, camera, view)
     exposure = random_exposure(painter, options.width)
     color = expose(linear, exposure, painter)
-    scale = 1.0
     depth: Array32 | None = None
     if options.depth:
-        scale = 1.0 + float(sensor.normal(0, options.scale_sd))
+        sensor.normal()  # drawn by earlier versions, whose frames are the same
         size = VGA if sensor.random() < _VGA_SHARE else None
-        reader = replace(D4xx.like(camera, size), scale_error=scale - 1.0)
-        burst = sense(staged.scene, reader, sensor, _BURST)
+        burst = sense(staged.scene, D4xx.like(camera, size), sensor, _BURST)
         depth = fuse_burst([color] * _BURST, burst).depth_m
     return Frame(
         color,
@@ -153,7 +145,6 @@ def draw_frame(seed: int, index: int, options: FrameOptions, assets: Assets) -> 
         tuple(fruit for fruit, real in zip(truth, staged.cucumber, strict=True) if real),
         view.depth_m,
         depth,
-        scale,
     )
 
 
@@ -519,7 +510,6 @@ def label_frame(frame: Frame, name: str, scene: str, split: str) -> LabelledPict
         extras={
             "setting": frame.staged.setting.value,
             "variety": frame.staged.variety.value,
-            "depth_scale": round(frame.depth_scale, 6),
             "gravity": [round(-float(component), 4) for component in frame.staged.up],
         },
     )

@@ -13,9 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cucumbervision.networks.registry import file_sha256
 from cucumbervision_lab.arrays import Pixels
-from cucumbervision_lab.train.export import MAKERS, ModelCard, halve_storage, write_card
+from cucumbervision_lab.train.export import ModelCard, described, halve_storage
 from cucumbervision_lab.train.network import allowed_threads, import_ultralytics, load_yolo
 
 CHANNELS = 128
@@ -231,7 +230,9 @@ def changed_planes(
 def export_network(
     network: Any, out: Path, inputs: Mapping[str, Any], outputs: Sequence[str], task: str
 ) -> None:
-    """Export a network to ONNX, for any number of each input, with weights in half precision.
+    """Export a network to ONNX, for any number of each input, and keep its weights beside it.
+
+    The ONNX file holds them in half precision; from the others (.pt) a further training can begin.
 
     Parameters
     ----------
@@ -266,6 +267,7 @@ def export_network(
     halve_storage(written)
     onnx.helper.set_model_props(written, {"task": task})
     onnx.save(written, out)
+    torch.save(network.state_dict(), out.with_suffix(".pt"))
 
 
 @dataclass(frozen=True)
@@ -309,19 +311,15 @@ def write_classifier_card(
         checkpoint = began
         metrics.pop(LEARNT_FROM, None)
     words = f"--init {began.name} --out DIR --epochs {options.epochs} --seed {options.seed}"
-    card = ModelCard(
+    return described(
+        network,
+        checkpoint,
         name=name,
         task=trained.task,
-        file=network.name,
-        sha256=file_sha256(network),
-        size_bytes=network.stat().st_size,
-        checkpoint_sha256=file_sha256(checkpoint),
         began_with=began.name,
         command=f"cucumbervision train classifier {trained.task} SETS {words}",
         metrics=metrics,
-        credits=(*MAKERS, *credits),
+        credits=credits,
         limits=trained.limits,
         versions={"torch": version("torch")},
     )
-    write_card(card, network.parent)
-    return card

@@ -203,7 +203,7 @@ def train_look(crops: EndCrops, init: Path | str, out: Path, options: Classifier
     init : Path
         Checkpoint (.pt) of YOLO26n to begin with.
     out : Path
-        The ONNX file to write.
+        The ONNX file to write; the checkpoint lies beside it.
     options : ClassifierOptions
         Options of training.
 
@@ -214,8 +214,11 @@ def train_look(crops: EndCrops, init: Path | str, out: Path, options: Classifier
     ModelError
         If the checkpoint cannot be loaded.
     """
+    import torch
+
     network = fit_look(crops, init, options)
-    export_look(network, out)
+    inputs = {"crops": torch.zeros(2, PLANES, END_PX, END_PX), "shapes": torch.zeros(2, 2)}
+    export_network(network, out, inputs, ("looks",), "look")
     return judge_look(network, crops, out)
 
 
@@ -237,14 +240,6 @@ def judge_look(network: Any, crops: EndCrops, out: Path) -> Trained:
         "stem and blossom ends told right": float(stem.mean()) if looks else math.nan,
     }
     return Trained(out, "look", _LIMITS, metrics)
-
-
-def export_look(network: Any, out: Path) -> None:
-    """Export the network to ONNX, with weights in half precision."""
-    import torch
-
-    inputs = {"crops": torch.zeros(2, PLANES, END_PX, END_PX), "shapes": torch.zeros(2, 2)}
-    export_network(network.eval(), out, inputs, ("looks",), "look")
 
 
 def area_under_curve(scores: NDArray[np.float64], positive: NDArray[np.bool_]) -> float:

@@ -148,6 +148,22 @@ def write_card(card: ModelCard, out: Path) -> tuple[Path, Path]:
     return page, record
 
 
+def described(
+    network: Path, checkpoint: Path, *, credits: Sequence[str] = (), **fields: Any
+) -> ModelCard:
+    """Write the card of an ONNX file that was made from a checkpoint next to it."""
+    card = ModelCard(
+        file=network.name,
+        sha256=file_sha256(network),
+        size_bytes=network.stat().st_size,
+        checkpoint_sha256=file_sha256(checkpoint),
+        credits=(*MAKERS, *credits),
+        **fields,
+    )
+    write_card(card, network.parent)
+    return card
+
+
 def card_markdown(card: ModelCard) -> str:
     """Return a card as Markdown.
 
@@ -396,20 +412,16 @@ def export_trained(
     if model.task == "segment":
         input_sizes = input_sizes or DETECTOR_SIZES_PX
     path = export_yolo(model, out / f"{name}.onnx", input_sizes=input_sizes)
-    card = ModelCard(
+    return described(
+        path,
+        checkpoint,
         name=name,
         task=str(model.task),
-        file=path.name,
-        sha256=file_sha256(path),
-        size_bytes=path.stat().st_size,
-        checkpoint_sha256=file_sha256(checkpoint),
         evaluation=results,
-        credits=(*MAKERS, *credits),
+        credits=credits,
         versions={"torch": version("torch"), "ultralytics": import_ultralytics().__version__},
         **(_card_entries(source) if (source / BEGUN).is_file() else {}),
     )
-    write_card(card, out)
-    return card
 
 
 def _card_entries(run: Path) -> dict[str, Any]:

@@ -392,14 +392,6 @@ def train_fruit(
     import torch
 
     network = fit_fruit(crops, init, options)
-    export_fruit(network, out)
-    torch.save(network.state_dict(), out.with_suffix(".pt"))
+    crop = {"crops": torch.zeros(2, PLANES, HEIGHT_PX, WIDTH_PX)}
+    export_network(network, out, crop, ("outline", "points", "verdict"), "fruit")
     return judge_fruit(network, crops, out)
-
-
-def export_fruit(network: Any, out: Path) -> None:
-    """Export the network to ONNX, with weights in half precision."""
-    import torch
-
-    example = {"crops": torch.zeros(2, PLANES, HEIGHT_PX, WIDTH_PX)}
-    export_network(network.eval(), out, example, ("outline", "points", "verdict"), "fruit")

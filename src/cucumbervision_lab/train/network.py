@@ -19,7 +19,7 @@ from cucumbervision.errors import MissingExtraError, ModelError, TrainingError
 from cucumbervision.networks.keypoint_axis import keypoints_between
 from cucumbervision.networks.runtime import import_onnxruntime
 from cucumbervision.networks.yolo import BY_PLACE
-from cucumbervision_lab.data.checks import check_folder, require_clean
+from cucumbervision_lab.data.checks import check_dataset, open_dataset, require_clean
 from cucumbervision_lab.data.coco import write_coco
 from cucumbervision_lab.data.derive import add_pseudo_masks
 from cucumbervision_lab.data.labels import (
@@ -384,8 +384,8 @@ def open_sets(folders: Sequence[Path]) -> list[DataSet]:
     read: dict[Path, DataSet] = {}
     for folder in folders:
         if folder not in read:
-            read[folder], findings = check_folder(folder)
-            require_clean(findings, folder)
+            read[folder] = open_dataset(folder)
+            require_clean(check_dataset(read[folder]), folder)
     return [read[folder] for folder in folders]
 
 
@@ -429,10 +429,10 @@ def write_training_data(datasets: Sequence[DataSet], task: str, run: Path) -> Pa
         folder = (run / "data" / str(number)).resolve()
         if task == "pose":
             dataset = _each_label(dataset, _ordered_by_place)
-        written = write_yolo(dataset, folder, TASKS[task], splits=("train", "val"))
+        counts, _ = write_yolo(dataset, folder, TASKS[task], splits=("train", "val"))
         times = {"train": sum(entry is unique[number] for entry in datasets), "val": 1}
         for split in times:
-            if written.pictures[split]:
+            if counts[split]:
                 content[split] += times[split] * [str(folder / "images" / split)]
     for split in ("train", "val"):
         if not content[split]:
@@ -526,7 +526,7 @@ def photo_set(folder: Path, out: Path) -> DataSet:
         for picture in audit.pictures
         if picture.split != "test" and (picture.extras["fully_labelled"] or picture.shows_fruit)
     )
-    drawn = add_pseudo_masks(replace(audit, pictures=pictures), open_segmenter()).dataset
+    drawn, _ = add_pseudo_masks(replace(audit, pictures=pictures), open_segmenter())
     return write_coco(_each_label(drawn, _with_axis_points), out)
 
 

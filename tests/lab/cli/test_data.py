@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -91,36 +90,3 @@ def test_check_prints_a_table_and_exits_with_1(photos: Path) -> None:
 def test_check_of_a_clean_set(photos: Path) -> None:
     result = call("check", photos, "--names", NAMES)
     assert (result.exit_code, result.output) == (0, "20 pictures, 20 labels, no fault.\n")
-
-
-def test_a_split_by_file_is_a_leak(photos: Path, tmp_path: Path) -> None:
-    hub = tmp_path / "hub"
-    call("convert", photos, hub, "--names", NAMES)
-    file = hub / "annotations.json"
-    data = json.loads(file.read_text())
-    for k, image in enumerate(data["images"]):
-        image["split"] = ("train", "val")[k % 2]
-    write_png(hub / "images/07.png", np.zeros((96, 128, 3), np.uint8))
-    rng = np.random.default_rng(0)
-    noise = rng.integers(0, 256, (96, 128, 3), np.uint8)
-    for name in ("04", "11"):
-        write_png(hub / f"images/{name}.png", noise)
-    file.write_text(json.dumps(data))
-    result = call("check", hub)
-    assert result.exit_code == 1
-    assert "in val is the same picture as images/04.png in train" in " ".join(
-        result.output.replace("│", " ").split()
-    )
-
-
-@pytest.mark.realdata
-def test_the_real_photos_become_a_hub_set(shared_data: Path, tmp_path: Path) -> None:
-    hub = tmp_path / "hub"
-    folder = shared_data / "photos/ingredients_ccby4"
-    result = call("convert", folder, hub, "--names", NAMES, "--keep", "cucumber=cucumber")
-    assert result.exit_code == 0, result.output
-    dataset = read_coco(hub)
-    assert dataset.refused == ()
-    assert len(dataset.pictures) == 173
-    # The data set's own page: 60 of them show cucumbers.
-    assert sum(bool(p.labels) for p in dataset.pictures) == 60

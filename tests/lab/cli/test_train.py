@@ -12,12 +12,12 @@ from typer.testing import CliRunner
 from cucumbervision.capture.pictures import write_png
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
-from cucumbervision.errors import TrainingError
 from cucumbervision.networks.find import NetworkLoader
 from cucumbervision_lab.cli.train import app
 from cucumbervision_lab.data.coco import write_coco
 from cucumbervision_lab.data.labels import DataSet, Label, LabelledPicture
 
+ONE_EPOCH = ("--init", "yolo26n-seg.yaml", "--epochs", "1")
 needs_extra = pytest.mark.skipif(
     importlib.util.find_spec("ultralytics") is None, reason="needs the extra 'train'"
 )
@@ -25,7 +25,7 @@ needs_extra = pytest.mark.skipif(
 
 @needs_extra
 @pytest.mark.train
-def test_a_detector_is_trained_by_the_command_and_its_fault_named(tmp_path: Path) -> None:
+def test_a_detector_is_trained_by_the_command(tmp_path: Path) -> None:
     data = write_set(tmp_path / "set", "segment").parent
     words = ["network", "seg", str(data), "--out", str(tmp_path / "run"), "--epochs", "1"]
     words += ["--size", "64", "--device", "cpu", "--init"]
@@ -33,9 +33,6 @@ def test_a_detector_is_trained_by_the_command_and_its_fault_named(tmp_path: Path
     assert result.exit_code == 0, result.output
     assert "epoch 1 of 1" in result.output
     assert (tmp_path / "run" / "weights" / "last.pt").is_file()
-    result = CliRunner().invoke(app, [*words[:4], str(tmp_path / "other"), "--init", "gone.pt"])
-    assert isinstance(result.exception, TrainingError)
-    assert "weights not found" in str(result.exception)
 
 
 @needs_extra
@@ -55,17 +52,8 @@ def test_the_look_at_ends_is_learnt_from_pasted_fruit_and_shown(tmp_path: Path) 
         name = f"images/{number}.png"
         pictures.append(LabelledPicture(name, 160, 96, (label,), f"s{number}", "train"))
     write_coco(DataSet(tmp_path / "set", tuple(pictures)), tmp_path / "set")
-    words = [
-        "classifier",
-        "look",
-        str(tmp_path / "set"),
-        "--init",
-        "yolo26n-seg.yaml",
-        "--epochs",
-        "1",
-    ]
-    words += ["--out", str(tmp_path / "out")]
-    result = CliRunner().invoke(app, words)
+    words = ["look", str(tmp_path / "set"), "--out", str(tmp_path / "out"), *ONE_EPOCH]
+    result = CliRunner().invoke(app, ["classifier", *words])
     assert result.exit_code == 0, result.output
     assert "stem and blossom end" in result.output
     card = json.loads((tmp_path / "out" / "cucumber-look.json").read_text())
@@ -94,16 +82,8 @@ def test_the_look_at_fruit_is_learnt_from_labelled_sets_and_shown(tmp_path: Path
         for shown in (labels, ())
     )
     write_coco(DataSet(tmp_path / "set", pictures), tmp_path / "set")
-    words = [
-        "classifier",
-        "fruit",
-        str(tmp_path / "set"),
-        "--out",
-        str(tmp_path / "out"),
-        "--epochs",
-        "1",
-    ]
-    result = CliRunner().invoke(app, [*words, "--init", "yolo26n-seg.yaml"])
+    words = ["fruit", str(tmp_path / "set"), "--out", str(tmp_path / "out"), *ONE_EPOCH]
+    result = CliRunner().invoke(app, ["classifier", *words])
     assert result.exit_code == 0, result.output
     assert "fruit told from others" in result.output
     card = json.loads((tmp_path / "out" / "cucumber-fruit.json").read_text())
@@ -112,12 +92,3 @@ def test_the_look_at_fruit_is_learnt_from_labelled_sets_and_shown(tmp_path: Path
     assert metrics["crops learnt from"] == metrics["crops of other scenes judged by"]
     assert metrics["IoU of the detector's masks, median"] > 0.9  # they are the labels
     assert (tmp_path / "out" / card["file"]).stat().st_size == card["size_bytes"]
-
-
-@needs_extra
-@pytest.mark.train
-def test_export_names_what_is_missing(tmp_path: Path) -> None:
-    words = ["export", str(tmp_path), "--out", str(tmp_path / "out"), "--name", "a"]
-    result = CliRunner().invoke(app, words)
-    assert isinstance(result.exception, TrainingError)
-    assert "no epoch has completed yet" in str(result.exception)

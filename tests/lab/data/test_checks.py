@@ -13,7 +13,7 @@ import pytest
 from cucumbervision.capture.pictures import read_color, write_png
 from cucumbervision.errors import CucumberVisionError, DataSetError
 from cucumbervision.fruit.mask_codes import Rle
-from cucumbervision_lab.data.checks import check_dataset, check_folder, require_clean
+from cucumbervision_lab.data.checks import check_dataset, open_dataset, require_clean
 from cucumbervision_lab.data.coco import write_coco
 from cucumbervision_lab.data.labels import DataSet, Label
 from cucumbervision_lab.data.yolo import write_yolo
@@ -40,7 +40,8 @@ def test_a_clean_set_has_no_findings_in_any_form(make_set: MakeSet, tmp_path: Pa
     write_yolo(dataset, tmp_path / "pose", "pose")
     seen: list[int] = []
     for form in ("hub", "seg", "pose"):
-        found, findings = check_folder(tmp_path / form, progress=seen.append)
+        found = open_dataset(tmp_path / form)
+        findings = check_dataset(found, progress=seen.append)
         assert findings == []
         assert len(found.pictures) == 4
         require_clean(findings, form)
@@ -56,7 +57,7 @@ def test_every_fault_of_a_yolo_set_is_listed(make_set: MakeSet, tmp_path: Path) 
     (out / "images/val/000004.png").write_bytes(b"\x89PNG\r\n\x1a\n")
     yaml = out / "data.yaml"
     yaml.write_text(yaml.read_text().replace("0: cucumber", "0: cucumber, 1: leaf"))
-    _, findings = check_folder(out)
+    findings = check_dataset(open_dataset(out))
     assert faults(findings) == [
         "line 1: has numbers outside 0 to 1, which must be shares of width and height",
         "line 2: the box [79.5, 53.5, 79.5, 65.5] has no area inside the picture of 160x120",
@@ -82,7 +83,7 @@ def test_every_fault_of_a_coco_set_is_listed(make_set: MakeSet) -> None:
     file.write_text(json.dumps(data))
     (dataset.folder / "images/000002.png").unlink()
     write_png(dataset.folder / "images/000003.png", np.zeros((60, 80, 3), np.uint8))
-    _, findings = check_folder(dataset.folder)
+    findings = check_dataset(open_dataset(dataset.folder))
     assert faults(findings) == [
         "annotation 2: its box extends beyond the picture of 160x120",
         "annotation 3: has 2 keypoint numbers, not 15",
@@ -157,4 +158,4 @@ def test_splits_must_be_there_and_known(make_set: MakeSet) -> None:
 
 def test_what_is_no_set_is_refused(tmp_path: Path) -> None:
     with pytest.raises(DataSetError, match="folder not found"):
-        check_folder(tmp_path / "none")
+        open_dataset(tmp_path / "none")

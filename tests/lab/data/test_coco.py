@@ -15,28 +15,9 @@ from cucumbervision_lab.data.labels import DataSet, Label, LabelledPicture
 MakeSet = Callable[..., DataSet]
 
 
-def assert_same_label(a: Label, b: Label) -> None:
-    np.testing.assert_allclose(a.box, b.box, atol=0.001)
-    assert (a.category, a.hidden_share, a.cut_off, a.ignore, a.pseudo, a.extras) == (
-        b.category,
-        b.hidden_share,
-        b.cut_off,
-        b.ignore,
-        b.pseudo,
-        b.extras,
-    )
-    assert (a.mask_code, a.amodal_code) == (b.mask_code, b.amodal_code)
-    if a.keypoints is None or b.keypoints is None:
-        assert a.keypoints is b.keypoints
-    else:
-        np.testing.assert_allclose(a.keypoints, b.keypoints, atol=0.001)
-
-
-def assert_same_picture(a: LabelledPicture, b: LabelledPicture) -> None:
-    plain = [{k: v for k, v in vars(p).items() if k != "labels"} for p in (a, b)]
-    assert plain[0] == plain[1]
-    for label, other in zip(a.labels, b.labels, strict=True):
-        assert_same_label(label, other)
+def content(picture: LabelledPicture, folder: Path) -> str:
+    """Everything that is known of a picture."""
+    return write_fragment(picture, folder / "content.json").read_text()
 
 
 def test_the_hub_form_gives_everything_back(make_set: MakeSet, tmp_path: Path) -> None:
@@ -48,7 +29,8 @@ def test_the_hub_form_gives_everything_back(make_set: MakeSet, tmp_path: Path) -
     assert back.categories == ("cucumber",)
     assert back.folder == written.folder == out
     for a, b in zip(dataset.pictures, back.pictures, strict=True):
-        assert_same_picture(a, b)
+        assert content(a, tmp_path) == content(b, tmp_path)
+        assert a.labels[0].mask_code == b.labels[0].mask_code
         assert back.path(b).read_bytes() == dataset.path(a).read_bytes()
         assert b.depth_file is not None
         assert (out / b.depth_file).is_file()
@@ -70,7 +52,7 @@ def test_annotations_are_coco_for_other_tools(make_set: MakeSet) -> None:
     assert found["num_keypoints"] == 4
 
 
-def test_fragments_collect_to_the_same_set(make_set: MakeSet) -> None:
+def test_fragments_collect_to_the_same_set(make_set: MakeSet, tmp_path: Path) -> None:
     dataset = make_set()
     for k, picture in enumerate(dataset.pictures):
         write_fragment(picture, dataset.folder / f"fragments/{k:06d}.json")
@@ -78,7 +60,7 @@ def test_fragments_collect_to_the_same_set(make_set: MakeSet) -> None:
     back = collect_fragments(dataset.folder)
     assert back.refused == ()
     for a, b in zip(dataset.pictures, back.pictures, strict=True):
-        assert_same_picture(a, b)
+        assert content(a, tmp_path) == content(b, tmp_path)
 
 
 def test_a_damaged_fragment_loses_only_itself(make_set: MakeSet) -> None:

@@ -24,7 +24,7 @@ from cucumbervision_greenhouse.store.records import (
 )
 from cucumbervision_greenhouse.store.repository import Store, open_store
 from cucumbervision_lab.cli.data import app
-from cucumbervision_lab.data.checks import check_folder
+from cucumbervision_lab.data.checks import check_dataset, open_dataset
 from cucumbervision_lab.data.coco import read_coco
 from cucumbervision_lab.data.derive import dataset_from_store
 
@@ -133,8 +133,7 @@ def test_places_keep_their_split_however_the_set_grows(store: Store, tmp_path: P
     assert {scene: now[scene] for scene in was} == was
     assert set(now.values()) == {"train", "val", "test"}
     assert len(after.pictures) == 36
-    _, findings = check_folder(tmp_path / "after", duplicates=False)
-    assert findings == []
+    assert check_dataset(open_dataset(tmp_path / "after"), duplicates=False) == []
 
 
 def test_the_command_shows_what_was_judged(store: Store, tmp_path: Path) -> None:

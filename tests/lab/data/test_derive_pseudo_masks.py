@@ -37,9 +37,9 @@ def boxed(make_set: MakeSet) -> DataSet:
 def test_boxes_get_masks_in_train_only(make_set: MakeSet, segmenter: NetworkSegmenter) -> None:
     dataset = boxed(make_set)
     seen: list[int] = []
-    drawn = add_pseudo_masks(dataset, segmenter, progress=seen.append)
-    assert (drawn.drawn, drawn.refused, seen) == (1, (), [1, 1])
-    train, test = drawn.dataset.pictures
+    drawn, refused = add_pseudo_masks(dataset, segmenter, progress=seen.append)
+    assert (refused, seen) == ([], [1, 1])
+    train, test = drawn.pictures
     mask = train.labels[0].mask
     assert mask is not None
     wanted = np.zeros((120, 160), bool)
@@ -50,7 +50,7 @@ def test_boxes_get_masks_in_train_only(make_set: MakeSet, segmenter: NetworkSegm
     # What is to be ignored and what has a mask stay as they are.
     assert train.labels[1:] == dataset.pictures[0].labels[1:]
     assert test is dataset.pictures[1]
-    (finding,) = check_dataset(drawn.dataset, duplicates=False)
+    (finding,) = check_dataset(drawn, duplicates=False)
     assert "no picture is in val" in str(finding)
 
 
@@ -60,12 +60,11 @@ def test_a_mask_that_does_not_fit_is_to_be_ignored(
     dataset = boxed(make_set)
     picture = dataset.pictures[0]
     small = Label(np.array([60.0, 55.0, 66.0, 60.0]))
-    drawn = add_pseudo_masks(
+    drawn, refused = add_pseudo_masks(
         replace(dataset, pictures=(replace(picture, labels=(small,)),)), segmenter
     )
-    assert drawn.drawn == 0
-    ((file, fault),) = drawn.refused
+    ((file, fault),) = refused
     assert file == picture.file
     assert fault in {"mask-empty", "mask-small", "mask-off-box"}
-    label = drawn.dataset.pictures[0].labels[0]
+    label = drawn.pictures[0].labels[0]
     assert (label.ignore, label.pseudo, label.mask_code) == (True, False, None)

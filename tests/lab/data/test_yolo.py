@@ -22,9 +22,8 @@ def rows(file: Path) -> list[list[float]]:
 
 def test_segments_read_back_as_the_same_masks(make_set: MakeSet, tmp_path: Path) -> None:
     dataset = make_set()
-    written = write_yolo(dataset, tmp_path / "yolo")
-    assert written.pictures == {"train": 2, "val": 1, "test": 1}
-    assert written.labels == 6
+    counts, lines = write_yolo(dataset, tmp_path / "yolo")
+    assert (counts, lines) == ({"train": 2, "val": 1, "test": 1}, 6)
     back = read_yolo(tmp_path / "yolo")
     assert back.refused == ()
     assert back.categories == ("cucumber",)

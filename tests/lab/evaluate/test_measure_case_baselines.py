@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.errors import MissingExtraError
-from cucumbervision_lab.evaluate.measure_case import Baseline, available_baselines, skan_length
+from cucumbervision_lab.evaluate.measure_case import available_baselines, skan_length
 from cucumbervision_lab.scenes.bodies import Tube, arc_tube, rotation
 from cucumbervision_lab.scenes.scene import Scene, render
 
@@ -21,13 +21,7 @@ PIXEL_M = DISTANCE_M / 900.0
 # passed it by (sqrt(2) - 1) r, and cuts the axis sqrt(2) times as far: (2 - sqrt(2)) r.
 SHORT_M = (2 - np.sqrt(2)) * RADIUS_M
 
-SKELETONS = [
-    pytest.param(
-        skan_length,
-        id="skan",
-        marks=pytest.mark.skipif("skan" not in available_baselines(), reason="no skan"),
-    )
-]
+needs_skan = pytest.mark.skipif("skan" not in available_baselines(), reason="no skan")
 
 
 def view(tube: Tube, **turn: float) -> tuple[NDArray[np.float32], NDArray[np.bool_], Intrinsics]:
@@ -35,53 +29,51 @@ def view(tube: Tube, **turn: float) -> tuple[NDArray[np.float32], NDArray[np.boo
     return seen.depth_m.astype(np.float32), seen.mask(0), CAMERA
 
 
-@pytest.mark.parametrize("measure", SKELETONS)
+@needs_skan
 @pytest.mark.parametrize("roll_deg", [0.0, 22.5, 90.0])
-def test_a_skeleton_of_a_straight_fruit_ends_between_cap_centre_and_tip(
-    measure: Baseline, roll_deg: float
-) -> None:
+def test_a_skeleton_of_a_straight_fruit_ends_between_cap_centre_and_tip(roll_deg: float) -> None:
     # The silhouette is a stadium, whose medial axis runs from cap centre to cap centre; thinning
     # may leave a spur to the tip, or stop SHORT_M before the cap's centre. Its pixels show the
     # near surface, which is a radius nearer than the axis, so that the length shrinks by
     # (z - r) / z at most. One and a half pixels of rounding at both ends.
-    length = measure(*view(arc_tube(0.2, RADIUS_M), roll_deg=roll_deg))
+    length = skan_length(*view(arc_tube(0.2, RADIUS_M), roll_deg=roll_deg))
     nearer = (DISTANCE_M - RADIUS_M) / DISTANCE_M
     assert length is not None
     assert length > (0.2 - 2 * RADIUS_M - 2 * SHORT_M) * nearer - 3 * PIXEL_M
     assert length < 0.2 * (1 + (RADIUS_M / DISTANCE_M) ** 2) + 3 * PIXEL_M
 
 
-@pytest.mark.parametrize("measure", SKELETONS)
-def test_a_skeleton_follows_a_bend(measure: Baseline) -> None:
+@needs_skan
+def test_a_skeleton_follows_a_bend() -> None:
     # Arc of radius R: the body's arc between the cap centres is 0.30 - 2 r; its chord
     # 2 R sin(arc / 2R) is 5 cm shorter, so whoever measures straight falls below the bound.
     bend_m, arc_m = 0.12, 0.30 - 2 * RADIUS_M
     chord_m = 2 * bend_m * np.sin(arc_m / (2 * bend_m))
     low_m = (arc_m - 2 * SHORT_M) * (DISTANCE_M - RADIUS_M) / DISTANCE_M - 3 * PIXEL_M
     assert low_m > chord_m + 0.015
-    length = measure(*view(arc_tube(0.30, RADIUS_M, bend_m)))
+    length = skan_length(*view(arc_tube(0.30, RADIUS_M, bend_m)))
     assert length is not None
     assert low_m < length < 0.30 + 3 * PIXEL_M
 
 
-@pytest.mark.parametrize("measure", SKELETONS)
-def test_of_a_fruit_cut_in_two_the_longer_part_counts(measure: Baseline) -> None:
+@needs_skan
+def test_of_a_fruit_cut_in_two_the_longer_part_counts() -> None:
     # Hidden from 2 to 6 cm right of the middle: left of it 12 cm are seen, right of it 4 cm. What
     # joined the two would read more than the left part's 12 cm.
     depth, mask, camera = view(arc_tube(0.2, RADIUS_M))
     cut = mask.copy()
     cut[:, 640 + round(0.02 / PIXEL_M) : 640 + round(0.06 / PIXEL_M)] = False
-    length = measure(depth, cut, camera)
+    length = skan_length(depth, cut, camera)
     assert length is not None
     assert 0.12 - 2 * RADIUS_M - 2 * SHORT_M < length < 0.12 + 3 * PIXEL_M
 
 
-@pytest.mark.parametrize("measure", SKELETONS)
-def test_a_skeleton_is_lifted_by_depth(measure: Baseline) -> None:
+@needs_skan
+def test_a_skeleton_is_lifted_by_depth() -> None:
     # Tilted by 40 degrees the picture shows cos 40° = 77 % of the length. Lifted, at least the
     # run between the cap centres less the nearer surface and the far cap's hidden part (r sin 40°)
     # must come out.
-    length = measure(*view(arc_tube(0.2, RADIUS_M), tilt_deg=40.0))
+    length = skan_length(*view(arc_tube(0.2, RADIUS_M), tilt_deg=40.0))
     assert length is not None
     nearer = (DISTANCE_M - RADIUS_M / np.cos(np.deg2rad(40))) / DISTANCE_M
     short = 2 * RADIUS_M + 2 * SHORT_M + RADIUS_M * np.sin(np.deg2rad(40))

@@ -33,7 +33,9 @@ def test_pseudo_labels_are_no_test(tmp_path: Path) -> None:
     drawn = Label(BOX, pseudo=True)
     pictures = [picture("a", Label(BOX)), picture("b", drawn), picture("c", drawn, split="train")]
     folder = write_set(tmp_path, pictures)
-    with pytest.raises(DataSetError, match=r"1 pictures.*images/b\.png; move them to 'train'"):
+    with pytest.raises(
+        DataSetError, match=r"1 pictures.*first images/b\.png; move them to 'train'"
+    ):
         read_held_out(folder)
 
 
@@ -48,7 +50,7 @@ def test_a_set_that_cannot_be_read_in_full_is_refused(tmp_path: Path) -> None:
     folder = write_set(tmp_path, [picture("a", Label(BOX))])
     text = (folder / "annotations.json").read_text().replace('"category_id": 1', '"category_id": 9')
     (folder / "annotations.json").write_text(text)
-    with pytest.raises(DataSetError, match="1 entries are invalid, first"):
+    with pytest.raises(DataSetError, match="annotation 1: its category 9 is not listed"):
         read_held_out(folder)
 
 
@@ -58,13 +60,10 @@ def test_pictures_that_are_not_those_labelled_are_refused(tmp_path: Path) -> Non
     (images / "a.png").unlink()
     (images / "b.png").unlink()
     write_png(images / "b.png", np.zeros((24, 32, 3), np.uint8))
-    with pytest.raises(DataSetError) as caught:
+    with pytest.raises(DataSetError, match=r"images/a\.png: the file is missing.*\(and 1 more\)"):
         read_held_out(folder)
-    said = str(caught.value)
-    assert "2 pictures cannot be evaluated: images/a.png is missing, images/b.png has 32x24" in said
-    assert "its labels are for 64x48" in said
-    (images / "c.png").write_bytes(b"no picture")
-    with pytest.raises(DataSetError, match=r"3 pictures .*images/c\.png"):
+    (images / "a.png").write_bytes(b"no picture")
+    with pytest.raises(DataSetError, match=r"a\.png: is not a readable picture"):
         read_held_out(folder)
 
 

@@ -5,6 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cucumbervision_lab.data.labels import DataSet
+from cucumbervision_lab.scenes.generate import FrameOptions, SynthOptions, generate
 from cucumbervision_lab.train.network import TrainOptions
 
 SIDE_PX = 96
@@ -64,3 +66,11 @@ def seg_run(seg_set: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     run = tmp_path_factory.mktemp("run") / "seg"
     train("seg", open_sets([seg_set.parent]), run, "yolo26n-seg.yaml", QUICK)
     return run
+
+
+@pytest.fixture(scope="session")
+def drawn(tmp_path_factory: pytest.TempPathFactory) -> DataSet:
+    """Four hard frames of hanging fruit with depth."""
+    frame = FrameOptions(640, 360, (1.0, 0.0, 0.0), hard=True)
+    options = SynthOptions(4, seed=3, frame=frame, split="train")
+    return generate(options, tmp_path_factory.mktemp("drawn"))

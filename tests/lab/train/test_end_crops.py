@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -9,13 +8,9 @@ import pytest
 from cucumbervision.errors import TrainingError
 from cucumbervision.fruit.crops import END_PX, PLANES
 from cucumbervision_lab.data.labels import DataSet
-from cucumbervision_lab.scenes.generate import FrameOptions, SynthOptions, generate
 from cucumbervision_lab.scenes.paste import Cutout
 from cucumbervision_lab.train.end_crops import EndCrops, collect_covered_ends, collect_end_crops
 from cucumbervision_lab.train.measured_ends import labelled_fruit
-
-if TYPE_CHECKING:
-    pass
 
 
 def crops(count: int) -> EndCrops:
@@ -30,13 +25,6 @@ def crops(count: int) -> EndCrops:
         np.zeros(count, bool),
         np.zeros(count, bool),
     )
-
-
-@pytest.fixture(scope="module")
-def drawn(tmp_path_factory: pytest.TempPathFactory) -> DataSet:
-    folder = tmp_path_factory.mktemp("drawn")
-    frame = FrameOptions(640, 360, (1.0, 0.0, 0.0), hard=True)
-    return generate(SynthOptions(4, seed=3, frame=frame, split="train"), folder)
 
 
 def test_ends_of_training_come_once_more_moved_along_the_axis(drawn: DataSet) -> None:

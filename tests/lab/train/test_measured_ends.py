@@ -9,7 +9,6 @@ import pytest
 from cucumbervision.fruit.mask_codes import Rle
 from cucumbervision_lab.data.labels import DataSet, Label, LabelledPicture
 from cucumbervision_lab.data.splits import is_held_out
-from cucumbervision_lab.scenes.generate import FrameOptions, SynthOptions, generate
 from cucumbervision_lab.train.measured_ends import (
     HELD_OUT,
     end_truths,
@@ -38,13 +37,6 @@ def test_what_is_missing_is_measured_along_the_true_axis(turned: bool) -> None:
     ends = ends[::-1] if turned else ends
     assert [end.is_stem for end in ends] == [False, True]
     assert [end.missing_m for end in ends] == pytest.approx([0.04, 0.01], abs=1e-3)
-
-
-@pytest.fixture(scope="module")
-def drawn(tmp_path_factory: pytest.TempPathFactory) -> DataSet:
-    folder = tmp_path_factory.mktemp("drawn")
-    frame = FrameOptions(640, 360, (1.0, 0.0, 0.0), hard=True)
-    return generate(SynthOptions(4, seed=3, frame=frame, split="train"), folder)
 
 
 def test_labels_give_ends_where_the_mask_ends(drawn: DataSet) -> None:

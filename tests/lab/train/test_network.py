@@ -15,11 +15,11 @@ if importlib.util.find_spec("ultralytics") is None:
 
 from tests.lab.train.conftest import QUICK
 
-from cucumbervision.errors import ModelError, TrainingError
+from cucumbervision.errors import TrainingError
 from cucumbervision.networks.runtime import open_network
 from cucumbervision.networks.yolo import ORDER_KEY, SIZES_KEY
 from cucumbervision_lab.train.export import export_trained
-from cucumbervision_lab.train.network import NETWORK, load_yolo, open_sets, train
+from cucumbervision_lab.train.network import NETWORK, average_networks, load_yolo, open_sets, train
 
 pytestmark = pytest.mark.train
 
@@ -63,39 +63,6 @@ def test_what_cannot_be_trained_is_named(seg_set: Path, seg_run: Path, tmp_path:
         train("seg", sets, new, str(tmp_path / "gone.pt"), QUICK)
     with pytest.raises(TrainingError, match="unknown task"):
         train("detect", sets, new, "yolo26n.yaml", QUICK)
-    bad = tmp_path / "bad.pt"
-    bad.write_bytes(b"none")
-    with pytest.raises(ModelError, match=r"bad\.pt: Ultralytics cannot load"):
-        train("seg", sets, new, str(bad), QUICK)
-
-
-@pytest.mark.parametrize("runtime", ["onnxruntime", "openvino"])
-def test_exported_file_computes_as_the_network(
-    runtime: str, seg_run: Path, tmp_path_factory: pytest.TempPathFactory
-) -> None:
-    pytest.importorskip(runtime)
-    import numpy as np
-    import torch
-
-    out = tmp_path_factory.mktemp("out")
-    card = export_trained(seg_run, out, "tiny-seg")
-    network = open_network(out / card.file, runtime, full_precision=True)
-    model = load_yolo(seg_run / NETWORK).model.float().eval()
-    model.end2end = True
-    head = model.model[-1]
-    head.postprocess = lambda rows: rows  # all anchors, as corners
-    for height, width in ((64, 96), (96, 64), (160, 160)):
-        picture = np.random.default_rng(height).random((1, 3, height, width), np.float32)
-        with torch.no_grad():
-            rows, masks = model(torch.from_numpy(picture))[0]
-        given = network.run({"images": picture})
-        found = given["output0"][0]
-        low, high = rows[0, :, :2].T.numpy(), rows[0, :, 2:4].T.numpy()
-        # Weights are stored in half precision after batch norm was folded into them.
-        assert np.abs(found[:2] - (low + high) / 2).max() < 0.5
-        assert np.abs(found[2:4] - (high - low)).max() < 0.5
-        assert np.abs(found[4] - rows[0, :, 4].numpy()).max() < 0.005
-        assert np.abs(given["output1"] - masks.numpy()).max() < 0.05
 
 
 def test_card_tells_of_the_run(seg_run: Path, tmp_path: Path) -> None:
@@ -120,3 +87,20 @@ def test_what_cannot_be_exported_is_named(seg_run: Path, tmp_path: Path) -> None
         export_trained(seg_run, tmp_path, "Tiny Seg")
     with pytest.raises(TrainingError, match="no epoch has completed yet"):
         export_trained(tmp_path, tmp_path, "tiny")
+
+
+def test_the_mean_lies_between_two_networks_of_one_architecture(tmp_path: Path) -> None:
+    import torch
+
+    first, second, pose = (tmp_path / f"{name}.pt" for name in ("first", "second", "pose"))
+    for path in (first, second, pose):
+        load_yolo(f"yolo26n-{'pose' if path == pose else 'seg'}.yaml").save(path)
+    mean = average_networks(first, second, tmp_path / "mean.pt", 0.25)
+    states = [load_yolo(path).model.float().state_dict() for path in (first, second, mean)]
+    for a, b, between in zip(*(state.values() for state in states), strict=True):
+        if a.is_floating_point():
+            assert torch.allclose(between, 0.75 * a + 0.25 * b, atol=2e-3)
+    with pytest.raises(TrainingError, match="architecture differs"):
+        average_networks(first, pose, tmp_path / "out.pt")
+    with pytest.raises(TrainingError, match="out of range"):
+        average_networks(first, second, tmp_path / "out.pt", 1.5)

@@ -83,11 +83,11 @@ def evaluate_photos(
     from cucumbervision_lab.evaluate.photos import evaluate_photos as evaluate
     from cucumbervision_lab.evaluate.pictures import open_networks
     from cucumbervision_lab.evaluate.report import photo_tables, write_photo_report
-    from cucumbervision_lab.evaluate.scenes import chosen_networks
 
     photos, missing = audited_photos(folder, split)
     networks = open_networks(
-        *chosen_networks(seg, pose),
+        seg,
+        pose,
         "mobile-sam",
         runtime=runtime,
         confidence=confidence,

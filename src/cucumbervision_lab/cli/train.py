@@ -181,7 +181,7 @@ def classifier(
 
     The same command goes on with an interrupted training. For look, each set's fruit are measured
     first, those of held-out scenes on the networks' masks; what was measured stays in the folder.
-    From the held-out fruit it learns the intervals by what the network says of their ends.
+    It fits the intervals to the network's answers about the ends of held-out fruit.
     """
     from rich.console import Console
     from rich.table import Table

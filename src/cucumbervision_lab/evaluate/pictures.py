@@ -15,7 +15,7 @@ import numpy as np
 from cucumbervision.capture.depth import depth_to_metres
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.pictures import read_color, read_depth
-from cucumbervision.errors import DataSetError, MissingExtraError
+from cucumbervision.errors import DataSetError, MissingExtraError, ModelError
 from cucumbervision.fruit.instance import Instance
 from cucumbervision.fruit.mask_codes import Rle
 from cucumbervision.methods.paper_methods import reference_depth
@@ -331,7 +331,7 @@ def open_networks(
     Parameters
     ----------
     segment, pose : Path or str, optional
-        ONNX files, or names of the registry.
+        ONNX files, or names of the registry; by default its networks in use.
     segmenter : str, optional
         Name of a SAM in the registry.
     runtime : str
@@ -349,7 +349,7 @@ def open_networks(
     Raises
     ------
     ModelError
-        If a file cannot be loaded.
+        If there is neither of the two, or a file cannot be loaded.
     """
     reported = min(CANDIDATE_CONFIDENCE, pose_floor(confidence))
     loader = NetworkLoader(
@@ -359,6 +359,12 @@ def open_networks(
         most_fruit=MOST,
         input_sizes=input_sizes,
     )
+    segment, pose = (
+        given or (model.name if (model := loader.registry.default(task)) else None)
+        for given, task in ((segment, "segment"), (pose, "pose"))
+    )
+    if segment is None and pose is None:
+        raise ModelError("the package contains no networks", remedy="give one with --seg or --pose")
     beside = isinstance(segment, str) if as_in_use is None else as_in_use
     detector = None if segment is None else loader.yolo(segment)
     points = None if pose is None else loader.yolo(pose)

@@ -15,14 +15,12 @@ from scipy.stats import chi2
 
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.pictures import read_color
-from cucumbervision.errors import ModelError
 from cucumbervision.fruit.instance import Instance, MaskSource
 from cucumbervision.fruit.masks import box_ious, box_of_mask, share_inside
 from cucumbervision.methods.intervals import IntervalModels
 from cucumbervision.methods.pose import stem_first
 from cucumbervision.methods.result import Fruit, FruitPose, Part
 from cucumbervision.networks.confidence import DEFAULT_CONFIDENCE
-from cucumbervision.networks.registry import load_registry
 from cucumbervision_lab.arrays import Array
 from cucumbervision_lab.data.labels import DataSet, LabelledPicture
 from cucumbervision_lab.evaluate.benchmark import (
@@ -94,28 +92,6 @@ class DetectionResult:
     duration_s: float
 
 
-def chosen_networks(
-    segment: Path | None, pose: Path | None
-) -> tuple[Path | str | None, Path | str | None]:
-    """Return the given networks, or the names of the registry's defaults.
-
-    Raises
-    ------
-    ModelError
-        If there is neither a segmentation nor a pose network.
-    """
-    registry = load_registry()
-
-    def choose(file: Path | None, task: str) -> Path | str | None:
-        model = registry.default(task)
-        return file or (model.name if model else None)
-
-    networks = choose(segment, "segment"), choose(pose, "pose")
-    if networks == (None, None):
-        raise ModelError("the package contains no networks", remedy="give one with --seg or --pose")
-    return networks
-
-
 def evaluate_detection(
     data: Path,
     segment: Path | None = None,
@@ -163,11 +139,7 @@ def evaluate_detection(
     import_pycocotools()
     held_out = read_held_out(data, split, limit)
     networks = open_networks(
-        *chosen_networks(segment, pose),
-        segmenter,
-        runtime=runtime,
-        confidence=confidence,
-        input_sizes=input_sizes,
+        segment, pose, segmenter, runtime=runtime, confidence=confidence, input_sizes=input_sizes
     )
     measured = {picture.file for picture in spread(held_out.pictures, sam_limit)}
     frames: list[Frame] = []

@@ -200,7 +200,7 @@ def proposing_detector() -> YoloDetector:
 def _labels_of(
     picture: LabelledPicture, data: DataSet, instances: Sequence[Instance]
 ) -> list[bool | None]:
-    """Return whether each detection is a true positive; None where that cannot be told."""
+    """Return whether each detection is a true positive; None where the labels leave it open."""
     boxes = np.array([instance.box for instance in instances]).reshape(-1, 4)
     frame = frame_of(picture, data, None)
     unknown = np.array([fruit.box for fruit in frame.true if fruit.ignore or fruit.optional])

@@ -204,10 +204,10 @@ def loss(
     if labelled.any():
         total = total + 0.2 * cross_entropy(placed[..., 2][labelled], visible[labelled])
     for column, target in enumerate((is_fruit, stem)):
-        told = ~target.isnan()
-        if told.any():
-            smooth = 0.02 + 0.96 * target[told]
-            total = total + cross_entropy(verdict[told, column], smooth)
+        labelled = ~target.isnan()
+        if labelled.any():
+            smooth = 0.02 + 0.96 * target[labelled]
+            total = total + cross_entropy(verdict[labelled, column], smooth)
     return total
 
 
@@ -338,8 +338,8 @@ def judge_fruit(network: Any, crops: FruitCrops, out: Path) -> Trained:
     pointed = (held.is_fruit == 1) & ~np.isnan(held.points).any((1, 2))
     off = np.linalg.norm(points[pointed][..., :2] - held.points[pointed], axis=-1)
     length = np.linalg.norm(np.diff(held.points[pointed], axis=1), axis=-1).sum(1)
-    told = ~np.isnan(held.stem) & (held.is_fruit == 1)
-    right = (verdicts[told, 1] > 0) == (held.stem[told] == 1)
+    directed = ~np.isnan(held.stem) & (held.is_fruit == 1)
+    right = (verdicts[directed, 1] > 0) == (held.stem[directed] == 1)
     judged = ~np.isnan(held.is_fruit)
     metrics = {
         LEARNT_FROM: float((~crops.held_out).sum()),

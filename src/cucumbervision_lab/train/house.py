@@ -20,7 +20,6 @@ from cucumbervision_lab.data.labels import DataSet
 from cucumbervision_lab.evaluate.outcomes import Score, detection_rows, fruit_rows, overall
 from cucumbervision_lab.evaluate.photos import audited_photos, evaluate_photos
 from cucumbervision_lab.evaluate.pictures import detect_set, open_networks, spread
-from cucumbervision_lab.evaluate.scenes import chosen_networks
 from cucumbervision_lab.scenes.generate import FrameOptions, SynthOptions, generate
 from cucumbervision_lab.train.export import export_trained, write_card
 from cucumbervision_lab.train.network import TrainOptions, photo_set, train
@@ -223,8 +222,7 @@ def evaluate_detector(
     limit : int
         Maximum number of photos, evenly spaced.
     """
-    chosen = chosen_networks(network, None)
-    networks = open_networks(*chosen, None, ranked=False, as_in_use=True)
+    networks = open_networks(network, None, None, ranked=False, as_in_use=True)
     threshold = networks.confidence
     scores = []
     for name, data in (("house, held out", held_out_set(house)), ("drawn", read_coco(drawn))):

@@ -21,7 +21,7 @@ from cucumbervision_lab.evaluate.pictures import (
     merge_detections,
     open_networks,
 )
-from cucumbervision_lab.evaluate.scenes import chosen_networks, found_by_fruit
+from cucumbervision_lab.evaluate.scenes import found_by_fruit
 
 
 class Replay:
@@ -61,7 +61,7 @@ def test_reported_is_what_detect_reports(with_pose: bool) -> None:
 def test_what_is_judged_is_what_ships() -> None:
     """The networks of the package, on the bundled captures: the same fruit, equally sure."""
     ours = NetworkLoader(full_precision=True).detectors()
-    judged = open_networks(*chosen_networks(None, None), None)
+    judged = open_networks(None, None, None)
     for ref in open_source(example_captures()):
         capture = ref.load()
         color, (height, width) = capture.color, capture.color.shape[:2]

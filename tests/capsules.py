@@ -9,6 +9,7 @@ import numpy as np
 
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
+from cucumbervision_lab.scenes.raycast import Stem, cast_stem
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -58,9 +59,7 @@ def capsule_capture(
     name: str = "capsules",
 ) -> Capture:
     """Return a capture of capsules with their masks, depth noise and 1 mm steps as a D435 has."""
-    v, u = np.mgrid[: camera.height, : camera.width]
-    rays = np.stack([*camera.rays(u, v), np.ones(u.shape)], axis=-1)
-    depths = [_depth_of(capsule, rays) for capsule in capsules]
+    depths = [_depth_of(capsule, camera) for capsule in capsules]
     nearest = np.min(depths, axis=0)
     depth_m = np.minimum(nearest, wall_m)
     noise = np.random.default_rng(seed).normal(0.0, noise_m, depth_m.shape)
@@ -71,45 +70,13 @@ def capsule_capture(
     return Capture(color, depth_m, camera, name, masks=masks, simulated=True)
 
 
-def _depth_of(capsule: Capsule, rays: NDArray[np.float64]) -> NDArray[np.float64]:
+def _depth_of(capsule: Capsule, camera: Intrinsics) -> NDArray[np.float64]:
     """Return z of a capsule's first point on each ray, infinite where there is none."""
-    first, second = np.array(capsule.first_m), np.array(capsule.second_m)
-    ends = np.minimum(
-        _sphere(first, capsule.radius_m, rays), _sphere(second, capsule.radius_m, rays)
-    )
-    return np.minimum(_cylinder(first, second, capsule.radius_m, rays), ends)
-
-
-def _sphere(
-    centre: NDArray[np.float64], radius_m: float, rays: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    a, b = (rays**2).sum(-1), rays @ centre
-    return _nearer_root(a, b, centre @ centre - radius_m**2)
-
-
-def _cylinder(
-    first: NDArray[np.float64],
-    second: NDArray[np.float64],
-    radius_m: float,
-    rays: NDArray[np.float64],
-) -> NDArray[np.float64]:
-    axis = (second - first) / np.linalg.norm(second - first)
-    across = rays - (rays @ axis)[..., None] * axis
-    centre = first - (first @ axis) * axis
-    a, b = (across**2).sum(-1), across @ centre
-    depth = _nearer_root(np.maximum(a, 1e-12), b, centre @ centre - radius_m**2)
-    with np.errstate(invalid="ignore"):
-        along = (depth[..., None] * rays - first) @ axis
-    inside = (along >= 0) & (along <= np.linalg.norm(second - first))
-    return np.where(inside, depth, np.inf)
-
-
-def _nearer_root(
-    a: NDArray[np.float64], b: NDArray[np.float64], c: float | NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Return the smaller root of a z² - 2 b z + c, infinite where there is none."""
-    inside = b**2 - a * c
-    return np.where(inside > 0, (b - np.sqrt(np.maximum(inside, 0.0))) / a, np.inf)
+    depth = np.full((camera.height, camera.width), np.inf)
+    axis = np.array([capsule.first_m, capsule.second_m])
+    if (hit := cast_stem(Stem(axis, capsule.radius_m), camera)) is not None:
+        depth[hit.window] = hit.depth_m
+    return depth
 
 
 def pairs_of(captures: Sequence[Capture]) -> list[tuple[NDArray[np.uint8], NDArray[np.uint16]]]:

@@ -5,7 +5,7 @@ The bundled colours were path-traced once, depth and masks ray cast, of these bo
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -110,7 +110,7 @@ def build_scene(demo: DemoScene) -> Scene:
     layers = [
         foliage(rng, CAMERA, deepest_m + behind_m, 0.2, density) for behind_m, density in _LAYERS
     ]
-    leaves = tuple(replace(leaf, teeth=0.04) for layer in reversed(layers) for leaf in layer)
+    leaves = tuple(leaf for layer in reversed(layers) for leaf in layer)
     vines = [stem for tube in fruit for stem in _vine(rng, tube)]
     wall = Plane.facing(deepest_m + 1.2)
     return Scene(fruit, leaves, tuple(vines), (wall,))

@@ -15,12 +15,9 @@ from cucumbervision_lab.scenes.skin import LOOKS, Skin, random_skin
 from cucumbervision_lab.scenes.textures import Assets, material_color
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from cucumbervision_lab.scenes.lighting import Vector
     from cucumbervision_lab.scenes.scene import Scene
 
-_ROLES = ("leaf", "blossom", "stem", "stalk", "string", "crate")
 
 FAR = "far"
 
@@ -57,9 +54,6 @@ class Style:
         Colour of each plane, sRGB, 0 to 255.
     leaf_colors, stem_colors : tuple of tuple of float
         Colour of each leaf and stem, sRGB, 0 to 255.
-    leaf_roles, stem_roles : tuple of str
-        Role of each leaf and stem: "leaf" or "blossom"; "stem", "stalk", "string", "blossom" or
-        "crate".
     leaf_gloss, leaf_relief : float
         Gloss and surface relief of leaves, 0 to 1.
     leaf_photo : float
@@ -75,8 +69,6 @@ class Style:
     material_colors: tuple[Color, ...] = ()
     leaf_colors: tuple[Color, ...] = ()
     stem_colors: tuple[Color, ...] = ()
-    leaf_roles: tuple[str, ...] = ()
-    stem_roles: tuple[str, ...] = ()
     leaf_gloss: float = 0.3
     leaf_relief: float = 0.4
     leaf_photo: float = 0.0
@@ -89,8 +81,6 @@ def random_style(
     assets: Assets,
     setting: Setting | str,
     *,
-    leaf_roles: Sequence[str] | None = None,
-    stem_roles: Sequence[str] | None = None,
     up: Vector | None = None,
 ) -> Style:
     """Sample a random appearance for a scene.
@@ -106,9 +96,6 @@ def random_style(
     setting : Setting or str
         Setting of the scene. Unless the fruit hang, the first plane is the surface they lie on;
         the other planes show the distant background.
-    leaf_roles, stem_roles : sequence of str, optional
-        Role of each leaf and stem; by default all leaves are "leaf", and stems with a radius below
-        2.5 mm are "string".
     up : tuple of float, optional
         Unit vector up in camera coordinates; by default -y for hanging fruit, otherwise the normal
         of the first plane.
@@ -121,7 +108,7 @@ def random_style(
     Raises
     ------
     ValueError
-        If the setting or a role is unknown.
+        If the setting is unknown.
 
     Examples
     --------
@@ -133,10 +120,6 @@ def random_style(
     (1, (0.0, 0.0, -1.0))
     """
     hanging = Setting(setting) is Setting.HANGING
-    leaves = tuple(leaf_roles) if leaf_roles is not None else ("leaf",) * len(scene.leaves)
-    stems = tuple(stem_roles) if stem_roles is not None else _stem_roles(scene)
-    if unknown := {*leaves, *stems} - {*_ROLES}:
-        raise ValueError(f"unknown role {min(unknown)!r}: use one of {', '.join(_ROLES)}")
     light = random_light(rng, assets, _up(scene, hanging=hanging) if up is None else up)
     bench = () if hanging else tuple(str(rng.choice(_BENCHES)) for _ in scene.planes[:1])
     background_planes = len(scene.planes) - len(bench)
@@ -150,10 +133,8 @@ def random_style(
             *(material_color(rng, name) for name in bench),
             *[(0.0, 0.0, 0.0)] * background_planes,
         ),
-        leaf_colors=_leaf_colors(rng, leaves),
-        stem_colors=_stem_colors(rng, stems),
-        leaf_roles=leaves,
-        stem_roles=stems,
+        leaf_colors=_leaf_colors(rng, scene),
+        stem_colors=_stem_colors(rng, scene),
         leaf_gloss=float(rng.uniform(0.05, 0.4)),
         leaf_relief=float(rng.uniform(0.15, 0.7)),
         leaf_photo=float(rng.uniform(0.3, 1.0)) if assets.leaves and rng.random() < 0.6 else 0.0,
@@ -169,10 +150,6 @@ def _up(scene: Scene, *, hanging: bool) -> Vector:
     off = plane.normal * -np.sign(plane.normal @ plane.point_m)
     x, y, z = (off / np.linalg.norm(off) + 0.0).tolist()
     return x, y, z
-
-
-def _stem_roles(scene: Scene) -> tuple[str, ...]:
-    return tuple("string" if stem.radius_m < 0.0025 else "stem" for stem in scene.stems)
 
 
 def _skins(rng: Generator, scene: Scene, assets: Assets) -> tuple[Skin, ...]:
@@ -201,11 +178,11 @@ def _sibling(rng: Generator, kin: Skin, neighbour: Skin) -> Skin:
     )
 
 
-def _leaf_colors(rng: Generator, roles: tuple[str, ...]) -> tuple[Color, ...]:
+def _leaf_colors(rng: Generator, scene: Scene) -> tuple[Color, ...]:
     main = jitter(rng, _LEAVES[rng.integers(len(_LEAVES))])
     colors = []
-    for role in roles:
-        if role == "blossom":
+    for leaf in scene.leaves:
+        if leaf.role == "blossom":
             choices = _ROLE_COLORS["blossom"]
             colors.append(jitter(rng, choices[rng.integers(len(choices))], 0.12))
         elif rng.random() < 0.04:
@@ -217,8 +194,8 @@ def _leaf_colors(rng: Generator, roles: tuple[str, ...]) -> tuple[Color, ...]:
     return tuple(colors)
 
 
-def _stem_colors(rng: Generator, roles: tuple[str, ...]) -> tuple[Color, ...]:
+def _stem_colors(rng: Generator, scene: Scene) -> tuple[Color, ...]:
     main = {
         role: _ROLE_COLORS[role][rng.integers(len(_ROLE_COLORS[role]))] for role in _ROLE_COLORS
     }
-    return tuple(jitter(rng, main.get(role, main["stem"]), 0.08) for role in roles)
+    return tuple(jitter(rng, main[stem.role], 0.08) for stem in scene.stems)

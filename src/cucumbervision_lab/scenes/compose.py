@@ -1,10 +1,11 @@
 """Compose random scenes: fruit on the plant, on a bench or in a crate, with a handheld camera.
 
-All bodies are in camera coordinates. The roles of leaves and rods are stored for the renderer.
+All bodies are in camera coordinates.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -33,7 +34,7 @@ class Setting(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Composition:
-    """A composed scene with the roles of its bodies.
+    """A composed scene.
 
     Parameters
     ----------
@@ -45,8 +46,6 @@ class Composition:
         Variety of all cucumbers.
     cucumber : tuple of bool
         Whether each body of `scene.fruit` is a cucumber; the others are decoys.
-    leaf_roles, stem_roles : tuple of str
-        'leaf' or 'blossom'; 'stem', 'stalk', 'string', 'blossom' or 'crate'.
     up : tuple of float
         Unit vector against gravity, camera coordinates.
     """
@@ -55,8 +54,6 @@ class Composition:
     setting: Setting
     variety: Variety
     cucumber: tuple[bool, ...]
-    leaf_roles: tuple[str, ...]
-    stem_roles: tuple[str, ...]
     up: tuple[float, float, float]
 
 
@@ -170,23 +167,13 @@ def _compose_hanging(
                 placed.append(fruit)
                 break
     scene = _behind(rng, camera, tuple(placed), distance_m)
-    stem_roles = ["string", "string", "stem", "stem"]
-    leaf_roles = ["leaf"] * len(scene.leaves)
     for index in range(len(placed)):
         if rng.random() < difficulty.covered:
             share, free = float(rng.uniform(0.05, 0.6)), bool(rng.random() < 0.55)
-            covered = placing.occlude(scene, camera, index, share, rng, ends_free=free)
-            if covered is not scene:
-                scene = covered
-                leaf_roles.append("leaf")
+            scene = placing.occlude(scene, camera, index, share, rng, ends_free=free)
     before = _loose_leaves(rng, camera, distance_m, difficulty.leaves, close=not placed)
-    leaf_roles += ["leaf"] * len(before)
     crossing = _crossing(rng, placed[int(rng.integers(len(placed)))]) if placed else ()
-    ends = [_end_details(rng, fruit) for fruit in placed]
-    petals = tuple(leaf for end in ends for leaf in end[0])
-    rods = tuple(rod for end in ends for rod, _ in end[1])
-    stem_roles += [role for end in ends for _, role in end[1]]
-    stem_roles += ["string" if rod.radius_m > 0.01 else "stem" for rod in crossing]
+    petals, rods = _end_details(rng, placed)
     strings = _strings_before(rng, distance_m)
     scene = replace(
         scene,
@@ -194,15 +181,7 @@ def _compose_hanging(
         stems=(*scene.stems, *rods, *crossing, *strings),
     )
     scene, up = _tilt_view(rng, scene)
-    return Composition(
-        scene,
-        Setting.HANGING,
-        variety,
-        (True,) * len(placed),
-        (*leaf_roles, *["blossom"] * len(petals)),
-        (*stem_roles, *["string"] * len(strings)),
-        up,
-    )
+    return Composition(scene, Setting.HANGING, variety, (True,) * len(placed), up)
 
 
 def _random_hanging(
@@ -280,33 +259,34 @@ def _crossing(rng: Generator, fruit: Tube) -> tuple[Stem, ...]:
         along = np.array([np.cos(angle), np.sin(angle), rng.normal(0, 0.1)])
         place = middle * (1 + off_m / middle[2]) + rng.normal(0, 0.5 * radius_m, 3) * (1, 1, 0)
         if rng.random() < share and place[2] - 0.2 * half_m > placing.NEAREST_M:
-            rods.append(Stem(np.stack([place - half_m * along, place + half_m * along]), thick_m))
+            line = np.stack([place - half_m * along, place + half_m * along])
+            rods.append(Stem(line, thick_m, "string" if thick_m > 0.01 else "stem"))
     return tuple(rods)
 
 
 def _end_details(
-    rng: Generator, fruit: Tube
-) -> tuple[tuple[Leaf, ...], tuple[tuple[Stem, str], ...]]:
-    """Return the withered blossom and the stalk of a fruit, which identify its ends."""
-    blossom, stem = fruit.poles_m
-    radius = float(fruit.radii_m.max())
+    rng: Generator, fruit_list: Sequence[Tube]
+) -> tuple[tuple[Leaf, ...], tuple[Stem, ...]]:
+    """Return the withered blossoms and the stalks of fruit, which identify their ends."""
     petals: list[Leaf] = []
-    rods: list[tuple[Stem, str]] = []
-    if rng.random() < 0.85:
-        rods.append((_stalk(rng, stem, fruit.centres_m[-1], radius), "stalk"))
-    if rng.random() < 0.45:
+    rods: list[Stem] = []
+    for fruit in fruit_list:
+        blossom, stem = fruit.poles_m
+        if rng.random() < 0.85:
+            rods.append(_stalk(rng, stem, fruit.centres_m[-1], float(fruit.radii_m.max())))
+        if rng.random() >= 0.45:
+            continue
         out = blossom - fruit.centres_m[0]
         out /= np.linalg.norm(out)
         tip = blossom + out * rng.uniform(0.004, 0.014)
-        rods.append(
-            (Stem(np.stack([blossom - 0.002 * out, tip]), rng.uniform(0.002, 0.004)), "blossom")
-        )
+        line = np.stack([blossom - 0.002 * out, tip])
+        rods.append(Stem(line, rng.uniform(0.002, 0.004), "blossom"))
         for _ in range(int(rng.integers(0, 5))):
             turn = rotation(rng.uniform(0, 360), rng.uniform(-70, 70), rng.uniform(0, 360))
             length = rng.uniform(0.006, 0.014)
             position = tip + rng.normal(0, 0.003, 3)
             bend = float(rng.normal(0, 30)), float(rng.normal(0, 30))
-            petals.append(Leaf(position, turn.T, length, 0.5 * length, bend, 0.0))
+            petals.append(Leaf(position, turn.T, length, 0.5 * length, bend, 0.0, "blossom"))
     return tuple(petals), tuple(rods)
 
 
@@ -320,7 +300,7 @@ def _stalk(rng: Generator, pole: Array, inner: Array, radius_m: float) -> Stem:
         pole + 0.4 * length * out + 0.1 * length * aside,
         pole + length * out + 0.45 * length * aside,
     ]
-    return Stem(np.stack(line), radius_m * rng.uniform(0.11, 0.34))
+    return Stem(np.stack(line), radius_m * rng.uniform(0.11, 0.34), "stalk")
 
 
 def _tilt_view(rng: Generator, scene: Scene) -> tuple[Scene, tuple[float, float, float]]:
@@ -392,19 +372,9 @@ def _compose_lying(
     ground = placing.Ground.seen(rng, distance_m)
     placed, indices = placing.place_lying(rng, camera, ground, bodies, inner_m if crated else None)
     rods = placing.crate_rods(rng, ground, inner_m) if crated else ()
-    ends = [
-        _end_details(rng, fruit) if real[k] else ((), ())
-        for k, fruit in zip(indices, placed, strict=True)
-    ]
-    petals = tuple(leaf for end in ends for leaf in end[0])
-    tips = tuple(rod for end in ends for rod in end[1])
-    scene = Scene(tuple(placed), petals, (*rods, *(rod for rod, _ in tips)), (ground.plane,))
-    return Composition(
-        scene,
-        setting,
-        variety,
-        tuple(real[k] for k in indices),
-        ("blossom",) * len(petals),
-        (*["crate"] * len(rods), *(role for _, role in tips)),
-        tuple(ground.frame[2].tolist()),
+    petals, tips = _end_details(
+        rng, [fruit for k, fruit in zip(indices, placed, strict=True) if real[k]]
     )
+    scene = Scene(tuple(placed), petals, (*rods, *tips), (ground.plane,))
+    cucumber = tuple(real[k] for k in indices)
+    return Composition(scene, setting, variety, cucumber, tuple(ground.frame[2].tolist()))

@@ -158,15 +158,7 @@ def _camera(rng: Generator, options: FrameOptions) -> Intrinsics:
 
 
 def _style(rng: Generator, staged: Composition, assets: Assets) -> Style:
-    style = random_style(
-        rng,
-        staged.scene,
-        assets,
-        staged.setting.value,
-        leaf_roles=staged.leaf_roles,
-        stem_roles=staged.stem_roles,
-        up=staged.up,
-    )
+    style = random_style(rng, staged.scene, assets, staged.setting, up=staged.up)
     skins = (
         skin if cucumber else _decoy(rng, skin)
         for skin, cucumber in zip(style.skins, staged.cucumber, strict=True)

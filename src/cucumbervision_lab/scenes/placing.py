@@ -24,6 +24,8 @@ _COARSE = 0.5  # resolution factor of the search for a leaf's size
 _SEARCH_STEPS = 14
 _LEAN = 0.03  # standard deviation of a string's inclination and bow, relative to the height
 
+_THICKEST_STRING_M = 0.0025
+
 _NEAREST = 0.4  # maximum distance of a leaf from its fruit, as a share of the fruit's distance
 
 
@@ -135,7 +137,8 @@ def string(rng: Generator, x_m: float, z_m: float, radius_m: float = 0.0015) -> 
     y = np.linspace(-1.2, 1.2, 9) * z_m
     x = x_m + rng.normal(0, _LEAN) * y + rng.normal(0, _LEAN) * np.cos(2 * y / z_m) * 0.3 * z_m
     z = z_m + rng.normal(0, _LEAN) * y
-    return Stem(np.stack([x, y, z], axis=1), radius_m)
+    role = "string" if radius_m < _THICKEST_STRING_M else "stem"
+    return Stem(np.stack([x, y, z], axis=1), radius_m, role)
 
 
 def trellis(
@@ -462,4 +465,4 @@ def crate_rods(rng: Generator, ground: Ground, inner_m: tuple[float, float]) -> 
         ring = [ground.at(*corner, float(level)) for corner in corners]
         bars += [np.stack([ring[k], ring[(k + 1) % 4]]) for k in range(4)]
     bars += [np.stack([ground.at(*c, radius), ground.at(*c, height)]) for c in corners]
-    return tuple(Stem(bar, radius) for bar in bars if bar[:, 2].min() > NEAREST_M / 2)
+    return tuple(Stem(bar, radius, "crate") for bar in bars if bar[:, 2].min() > NEAREST_M / 2)

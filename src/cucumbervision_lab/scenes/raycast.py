@@ -342,14 +342,17 @@ class Stem:
         Camera coordinates, metres.
     radius_m : float
         Metres.
+    role : str
+        'stem', 'stalk', 'string', 'blossom' or 'crate'.
     """
 
     vertices_m: Array
     radius_m: float
+    role: str = "stem"
 
     def moved(self, turn: Array, by_m: ArrayLike) -> Stem:
         """Return the stem rotated about the origin by a 3x3 matrix, then translated by metres."""
-        return Stem(self.vertices_m @ turn.T + np.asarray(by_m, dtype=float), self.radius_m)
+        return replace(self, vertices_m=self.vertices_m @ turn.T + np.asarray(by_m, dtype=float))
 
 
 @dataclass(frozen=True, eq=False)
@@ -449,6 +452,8 @@ class Leaf:
         (bend_along s² + bend_across t²) / 2.
     lobe : float
         Relative amplitude of the five lobes, 0 to 0.5.
+    role : str
+        'leaf' or 'blossom'.
     """
 
     centre_m: Array
@@ -457,6 +462,7 @@ class Leaf:
     half_width_m: float
     bend_per_m: tuple[float, float] = (0.0, 0.0)
     lobe: float = 0.0
+    role: str = "leaf"
 
     def moved(self, turn: Array, by_m: ArrayLike) -> Leaf:
         """Return the leaf rotated about the origin by a 3x3 matrix, then translated by metres."""

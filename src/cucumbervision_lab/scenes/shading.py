@@ -204,7 +204,7 @@ def _leaf(
     underside = float(side.mean()) > 0
     layers.normal[pixels] = _unit(normal, -np.where(side == 0, 1, side))
     color = to_linear(style.leaf_colors[index])
-    withered = style.leaf_roles[index] == "blossom"
+    withered = leaf.role == "blossom"
     pale = to_linear((150, 168, 104))
     if underside and not withered:
         color = 0.65 * color + 0.35 * to_linear((140, 158, 122))
@@ -235,7 +235,7 @@ def _stem(job: _Job, pixels: NDArray[np.intp], index: int, points: Array32) -> N
         run[closer] = (k + share[closer]) * np.sqrt(squared[k])
     normal = layers.normal[pixels] = _unit(normal)
     color = to_linear(style.stem_colors[index])
-    role = style.stem_roles[index]
+    role = job.scene.stems[index].role
     if role == "string":
         tone = 1 + 0.2 * np.sin(run * 1600 + 6 * normal[:, 0])
     elif role == "crate":

@@ -69,8 +69,8 @@ def test_every_body_gets_a_look() -> None:
     scene = trellis(np.random.default_rng(1), CAMERA, FRUIT)
     style = random_style(np.random.default_rng(2), scene, Assets(), "hanging")
     assert len(style.skins) == 2
-    assert len(style.leaf_colors) == len(style.leaf_roles) == len(scene.leaves)
+    assert len(style.leaf_colors) == len(scene.leaves)
     # Of the four rods two are strings of 1.5 mm.
-    assert style.stem_roles == ("string", "string", "stem", "stem")
+    assert [stem.role for stem in scene.stems] == ["string", "string", "stem", "stem"]
     assert style.materials == (FAR,)
     assert style == random_style(np.random.default_rng(2), scene, Assets(), "hanging")

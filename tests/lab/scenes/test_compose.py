@@ -10,11 +10,9 @@ CAMERA = Intrinsics(320, 180, 228.0, 228.0, 160.0, 90.0)
 
 @pytest.mark.parametrize("setting", list(Setting))
 @pytest.mark.parametrize("seed", range(8))
-def test_every_scene_can_be_drawn_and_its_parts_have_names(setting: Setting, seed: int) -> None:
+def test_every_scene_can_be_drawn(setting: Setting, seed: int) -> None:
     staged = compose(np.random.default_rng(seed), CAMERA, setting)
     scene = staged.scene
-    assert len(staged.leaf_roles) == len(scene.leaves)
-    assert len(staged.stem_roles) == len(scene.stems)
     assert len(staged.cucumber) == len(scene.fruit)
     assert sum(staged.cucumber) <= MOST_FRUIT
     view = render(scene, CAMERA)

@@ -52,15 +52,13 @@ def test_under_even_light_a_body_shows_its_own_colour() -> None:
 
 def test_leaves_and_rods_take_their_colours() -> None:
     leaf = Leaf(np.array([-0.1, 0.0, 0.5]), np.eye(3), 0.06, 0.05)
-    rod = Stem(np.array([[0.1, -0.1, 0.5], [0.1, 0.1, 0.5]]), 0.008)
+    rod = Stem(np.array([[0.1, -0.1, 0.5], [0.1, 0.1, 0.5]]), 0.008, "string")
     scene = Scene((), (leaf,), (rod,))
     style = Style(
         (),
         EVEN,
         leaf_colors=((60.0, 120.0, 50.0),),
         stem_colors=((200.0, 60.0, 60.0),),
-        leaf_roles=("leaf",),
-        stem_roles=("string",),
         gloom_per_m=0.0,
     )
     linear, view = painted(scene, style, ALL_ROUND)
@@ -94,10 +92,7 @@ def test_rich_assets_change_skin_and_leaves() -> None:
     leaf = Leaf(np.array([-0.1, 0.0, 0.4]), np.eye(3), 0.06, 0.05)
     scene = replace(ON_PAPER, leaves=(leaf,))
     look_ = replace(
-        paper(EVEN, replace(MATT, texture=0)),
-        leaf_colors=((60.0, 120.0, 50.0),),
-        leaf_roles=("leaf",),
-        leaf_photo=1.0,
+        paper(EVEN, replace(MATT, texture=0)), leaf_colors=((60.0, 120.0, 50.0),), leaf_photo=1.0
     )
     bare, view = painted(scene, look_, ALL_ROUND)
     rich, _ = painted(scene, look_, replace(ALL_ROUND, skins=(close_up,), leaves=(close_up,)))

@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from cucumbervision_lab.arrays import Generator
 from cucumbervision_lab.scenes.colors import Color, jitter, palette
 from cucumbervision_lab.scenes.compose import Setting
@@ -145,10 +143,7 @@ def random_style(
 def _up(scene: Scene, *, hanging: bool) -> Vector:
     if hanging or not scene.planes:
         return 0.0, -1.0, 0.0
-    plane = scene.planes[0]
-    # Normal towards the camera, which is at the origin.
-    off = plane.normal * -np.sign(plane.normal @ plane.point_m)
-    x, y, z = (off / np.linalg.norm(off) + 0.0).tolist()
+    x, y, z = (scene.planes[0].unit_normal() + 0.0).tolist()
     return x, y, z
 
 

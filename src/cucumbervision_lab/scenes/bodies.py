@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any
 
@@ -27,11 +27,14 @@ class Tube:
         Radii of the spheres, metres.
     outward : ndarray of float64, shape (3,)
         Unit vector in the plane of bending, towards the convex side at the middle.
+    is_decoy : bool
+        Whether it is another thing of the shape of a cucumber, such as a carrot or a pipe.
     """
 
     centres_m: Array
     radii_m: Array
     outward: Array
+    is_decoy: bool = False
 
     @property
     def poles_m(self) -> Array:
@@ -67,11 +70,8 @@ class Tube:
 
     def moved(self, turn: Array, by_m: ArrayLike) -> Tube:
         """Return the body rotated about the origin by a 3x3 matrix, then translated by metres."""
-        return Tube(
-            self.centres_m @ turn.T + np.asarray(by_m, dtype=float),
-            self.radii_m,
-            self.outward @ turn.T,
-        )
+        centres = self.centres_m @ turn.T + np.asarray(by_m, dtype=float)
+        return replace(self, centres_m=centres, outward=self.outward @ turn.T)
 
     def _end_tangents(self) -> tuple[Array, Array]:
         first = self.centres_m[1] - self.centres_m[0]

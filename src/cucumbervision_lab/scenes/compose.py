@@ -44,8 +44,6 @@ class Composition:
         Setting of the scene.
     variety : Variety
         Variety of all cucumbers.
-    cucumber : tuple of bool
-        Whether each body of `scene.fruit` is a cucumber; the others are decoys.
     up : tuple of float
         Unit vector against gravity, camera coordinates.
     """
@@ -53,7 +51,6 @@ class Composition:
     scene: Scene
     setting: Setting
     variety: Variety
-    cucumber: tuple[bool, ...]
     up: tuple[float, float, float]
 
 
@@ -121,7 +118,7 @@ def compose(
     >>> from cucumbervision.capture.intrinsics import Intrinsics
     >>> camera = Intrinsics(320, 180, 228.0, 228.0, 160.0, 90.0)
     >>> staged = compose(np.random.default_rng(4), camera, "bench")
-    >>> len(staged.scene.fruit) == len(staged.cucumber), staged.setting.value
+    >>> len(staged.scene.fruit) <= MOST_FRUIT + 2, staged.setting.value
     (True, 'bench')
     """
     setting = Setting(setting)
@@ -181,7 +178,7 @@ def _compose_hanging(
         stems=(*scene.stems, *rods, *crossing, *strings),
     )
     scene, up = _tilt_view(rng, scene)
-    return Composition(scene, Setting.HANGING, variety, (True,) * len(placed), up)
+    return Composition(scene, Setting.HANGING, variety, up)
 
 
 def _random_hanging(
@@ -358,23 +355,19 @@ def _compose_lying(
 ) -> Composition:
     crated = setting is Setting.CRATE
     bodies = [_random_of_variety(rng, variety) for _ in range(count)]
-    real = [True] * count
     if not crated:
         # Decoys with the shape but not the skin of a cucumber: carrots, bananas, pipes.
         for _ in range(int(rng.random() < 0.3) + int(rng.random() < 0.15)):
-            bodies.append(_random_of_variety(rng, Variety(rng.choice([v.value for v in Variety]))))
-            real.append(False)
+            kind = Variety(rng.choice([v.value for v in Variety]))
+            bodies.append(replace(_random_of_variety(rng, kind), is_decoy=True))
     longest = max((f.chord_m for f in bodies), default=0.2)
     inner_m = (float(longest * rng.uniform(1.08, 1.5)), float(longest * rng.uniform(0.35, 0.8)))
     if crated:
         # Near enough to fill a large part of the picture.
         distance_m = max(float(inner_m[0] * rng.uniform(0.9, 1.8)), 0.38)
     ground = placing.Ground.seen(rng, distance_m)
-    placed, indices = placing.place_lying(rng, camera, ground, bodies, inner_m if crated else None)
+    placed = placing.place_lying(rng, camera, ground, bodies, inner_m if crated else None)
     rods = placing.crate_rods(rng, ground, inner_m) if crated else ()
-    petals, tips = _end_details(
-        rng, [fruit for k, fruit in zip(indices, placed, strict=True) if real[k]]
-    )
+    petals, tips = _end_details(rng, [fruit for fruit in placed if not fruit.is_decoy])
     scene = Scene(tuple(placed), petals, (*rods, *tips), (ground.plane,))
-    cucumber = tuple(real[k] for k in indices)
-    return Composition(scene, setting, variety, cucumber, tuple(ground.frame[2].tolist()))
+    return Composition(scene, setting, variety, tuple(ground.frame[2].tolist()))

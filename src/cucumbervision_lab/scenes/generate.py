@@ -142,7 +142,7 @@ def draw_frame(seed: int, index: int, options: FrameOptions, assets: Assets) -> 
         color,
         camera,
         staged,
-        tuple(fruit for fruit, real in zip(truth, staged.cucumber, strict=True) if real),
+        tuple(t for t, tube in zip(truth, staged.scene.fruit, strict=True) if not tube.is_decoy),
         view.depth_m,
         depth,
     )
@@ -160,8 +160,8 @@ def _camera(rng: Generator, options: FrameOptions) -> Intrinsics:
 def _style(rng: Generator, staged: Composition, assets: Assets) -> Style:
     style = random_style(rng, staged.scene, assets, staged.setting, up=staged.up)
     skins = (
-        skin if cucumber else _decoy(rng, skin)
-        for skin, cucumber in zip(style.skins, staged.cucumber, strict=True)
+        _decoy(rng, skin) if tube.is_decoy else skin
+        for skin, tube in zip(style.skins, staged.scene.fruit, strict=True)
     )
     return replace(style, skins=tuple(skins))
 

@@ -351,7 +351,7 @@ def place_lying(
     ground: Ground,
     bodies: Sequence[Tube],
     inner_m: tuple[float, float] | None = None,
-) -> tuple[list[Tube], list[int]]:
+) -> list[Tube]:
     """Place bodies on a surface one after another.
 
     Parameters
@@ -370,10 +370,8 @@ def place_lying(
 
     Returns
     -------
-    placed : list of Tube
-        Bodies in camera coordinates that do not intersect.
-    kept : list of int
-        Their indices in `bodies`; bodies too close to the camera are dropped.
+    list of Tube
+        Bodies in camera coordinates that do not intersect, without those too close to the camera.
 
     Notes
     -----
@@ -381,9 +379,8 @@ def place_lying(
     of several random positions is used, so that fruit on an open surface are rarely stacked.
     """
     placed: list[Tube] = []
-    placed_bodies: list[int] = []
     lain: list[tuple[Array, Array]] = []
-    for index, body in enumerate(bodies):
+    for body in bodies:
         best = None
         for _ in range(_TRIES if inner_m is None else _TRIES // 3):
             spot, turn = _spot(rng, camera, ground, body, inner_m)
@@ -400,8 +397,7 @@ def place_lying(
             continue
         lain.append((flat + np.array([0.0, 0.0, height]), body.radii_m[::_TESTED_STEP]))
         placed.append(in_view)
-        placed_bodies.append(index)
-    return placed, placed_bodies
+    return placed
 
 
 def _spot(

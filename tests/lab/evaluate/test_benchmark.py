@@ -28,6 +28,7 @@ from cucumbervision_lab.evaluate.cases import Suite, paper_cases, simulate, stre
 from cucumbervision_lab.evaluate.measure_case import (
     CaseOptions,
     Masks,
+    Row,
     measure_case,
     readings_frame,
 )
@@ -104,7 +105,7 @@ def drawn(count: int, seed: int) -> pd.DataFrame:
         lengths["M1"] = 0.6 * true_m * float(np.exp(0.1 * rng.standard_normal()))
         lengths["M6 thread"], lengths["M6 chord"] = lengths["M6"] * 1.1, lengths["M6"] * 0.97
         true = {"centreline_m": true_m, "thread_m": 1.1 * true_m, "chord_m": 0.97 * true_m}
-        row = {"case": f"c{k}", "suite": Suite.STRESS, "masks": Masks.EXACT, "fruit": f"f{k}"}
+        row: Row = {"case": f"c{k}", "suite": Suite.STRESS, "masks": Masks.EXACT, "fruit": f"f{k}"}
         row |= {"distance_m": 0.5, "tilt_deg": 0.0, "bend_radius_m": None, "hidden_share": hidden}
         row |= {"fill": 1.0, "depth_scale": float(1 + rng.normal(0, 0.01))}
         rows.append({**row, **true, "lengths_m": lengths, "m6_features": features})

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ from cucumbervision_lab.evaluate.measure_case import Masks, Row, readings_frame
 CENTRELINE = LengthDefinition.CENTRELINE
 
 
-def row(case: str, lengths_m: dict[str, float | None], **changes: Any) -> Row:
+def row(case: str, lengths_m: Mapping[str, float | None], **changes: Any) -> Row:
     """A fruit of 20 cm along the axis, 22 by thread, 19.5 straight."""
     about = {"suite": Suite.PAPER, "masks": Masks.EXACT, "fruit": case, "condition": "plain"}
     true = {"centreline_m": 0.20, "thread_m": 0.22, "chord_m": 0.195, "distance_m": 0.5}

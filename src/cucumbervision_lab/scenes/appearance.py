@@ -110,6 +110,7 @@ def random_style(
 
     Examples
     --------
+    >>> import numpy as np
     >>> from cucumbervision_lab.scenes.raycast import Plane
     >>> from cucumbervision_lab.scenes.scene import Scene
     >>> bench = Scene((), planes=(Plane.facing(0.6),))

@@ -490,8 +490,8 @@ def one_polygon(mask: Mask, min_part_px: float = 16.0) -> Array | None:
     fine = cv2.dilate(part.repeat(2, 0).repeat(2, 1), np.ones((2, 2), np.uint8))[2:-1, 2:-1]
     fine[::2, ::2] = corners > 1
     outlines, _ = cv2.findContours(fine, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
-    first, *rest = sorted(outlines, key=cv2.contourArea, reverse=True)
-    large = [first, *(part for part in rest if cv2.contourArea(part) >= 4 * min_part_px)]
+    first, *smaller = sorted(outlines, key=cv2.contourArea, reverse=True)
+    large = [first, *(part for part in smaller if cv2.contourArea(part) >= 4 * min_part_px)]
     corner = np.array([window[1].start, window[0].start], np.float64)
     return join_parts([part.reshape(-1, 2) / 2 + corner for part in large])
 

@@ -195,7 +195,7 @@ def measure_case(case: Case, options: CaseOptions, find: Find | None = None) -> 
     truth, capture = taken.truth, taken.capture
     if np.count_nonzero(truth.visible) < NO_RECORD_BELOW_PX:
         return []
-    about = {
+    truths = {
         "case": case.name,
         "suite": case.suite,
         "fruit": case.fruit,
@@ -219,7 +219,7 @@ def measure_case(case: Case, options: CaseOptions, find: Find | None = None) -> 
             name: None if mask is None else measure(capture.depth_m, mask, capture.intrinsics)
             for name, measure in tools.items()
         }
-        rows.append({**about, "masks": kind, **row})
+        rows.append({**truths, "masks": kind, **row})
     return rows
 
 

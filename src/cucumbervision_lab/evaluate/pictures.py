@@ -360,8 +360,8 @@ def open_networks(
         input_sizes=input_sizes,
     )
     segment, pose = (
-        given or (model.name if (model := loader.registry.default(task)) else None)
-        for given, task in ((segment, "segment"), (pose, "pose"))
+        network or (model.name if (model := loader.registry.default(task)) else None)
+        for network, task in ((segment, "segment"), (pose, "pose"))
     )
     if segment is None and pose is None:
         raise ModelError("the package contains no networks", remedy="give one with --seg or --pose")

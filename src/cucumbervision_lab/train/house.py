@@ -231,8 +231,8 @@ def evaluate_detector(
         scores.append(DetectorScore.of(name, score))
     if photos is not None:
         tested, _ = audited_photos(photos)
-        some = replace(tested, pictures=spread(tested.pictures, limit))
-        result = evaluate_photos(some, networks)
+        sample = replace(tested, pictures=spread(tested.pictures, limit))
+        result = evaluate_photos(sample, networks)
         scores.append(DetectorScore.of("photos", result.score()))
         scores.append(DetectorScore.of("photos at half size", result.score(small=True)))
     return tuple(scores)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -376,16 +376,8 @@ def _auto_finder(
 ) -> Find:
     """Use the masks of a data set if a capture has some, otherwise the networks."""
     find_in_dataset = _with_pose(_dataset, pose, options.confidence)
-    loaded: list[Find] = []
-
-    def find(capture: Capture) -> Detections:
-        if capture.masks:
-            return find_in_dataset(capture)
-        if not loaded:
-            loaded.append(_network_finder(options, networks, pose=pose))
-        return loaded[0](capture)
-
-    return find
+    load = cache(partial(_network_finder, options, networks, pose=pose))
+    return lambda capture: (find_in_dataset if capture.masks else load())(capture)
 
 
 def _network_finder(

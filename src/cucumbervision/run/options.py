@@ -5,10 +5,9 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import asdict, dataclass, field, replace
-from enum import StrEnum
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 from cucumbervision.capture.source import ReadOptions
 from cucumbervision.crop.profiles import PACK_PROFILE, CropProfile, load_profile
@@ -38,8 +37,6 @@ if TYPE_CHECKING:
     from cucumbervision.plugins import Detector, Segmenter
     from cucumbervision.run.fields import Field
 
-_Enum = TypeVar("_Enum", bound=StrEnum)
-
 GRAVITY_BY_EDGE = {
     "top": (0.0, 1.0, 0.0),
     "left": (1.0, 0.0, 0.0),
@@ -47,6 +44,14 @@ GRAVITY_BY_EDGE = {
     "bottom": (0.0, -1.0, 0.0),
 }
 """Direction of gravity in camera coordinates, by the picture's edge that is up."""
+
+_CHOICES: dict[str, tuple[str, ...]] = {
+    "length": tuple(LengthDefinition),
+    "selector": tuple(Selector),
+    "prompt": PROMPTS,
+    "runtime": RUNTIMES,
+    "camera_up": tuple(GRAVITY_BY_EDGE),
+}
 
 INSTANCE_SOURCES = ("auto", "models", "dataset")
 """What `MeasureOptions.instances` may be beside a file."""
@@ -142,17 +147,15 @@ class MeasureOptions:
         CucumberVisionError
             With the option, its value and the allowed values.
         """
-        for name, kind in (("length", LengthDefinition), ("selector", Selector)):
-            object.__setattr__(self, name, _choice(name, getattr(self, name), kind))
         names = (name.strip().casefold() for name in _listed(self.classes))
         object.__setattr__(self, "classes", tuple(filter(None, names)))
         object.__setattr__(self, "methods", _method_names(self.methods))
-        named = [("prompt", PROMPTS), ("runtime", RUNTIMES)]
-        if self.camera_up is not None:
-            named.append(("camera_up", tuple(GRAVITY_BY_EDGE)))
-        for name, allowed in named:
-            if getattr(self, name) not in allowed:
-                raise _no_choice(name, getattr(self, name), allowed)
+        for name, allowed in _CHOICES.items():
+            value = getattr(self, name)
+            if value not in allowed and (value is not None or name != "camera_up"):
+                raise _no_choice(name, value, allowed)
+        object.__setattr__(self, "length", LengthDefinition(self.length))
+        object.__setattr__(self, "selector", Selector(self.selector))
         if not 0 <= self.confidence <= 1:
             raise _no_choice("confidence", self.confidence, ("a number from 0 to 1",))
 
@@ -181,13 +184,6 @@ class MeasureOptions:
         """
         text = json.dumps(self.as_json(), sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
-
-
-def _choice(name: str, value: Any, kind: type[_Enum]) -> _Enum:
-    try:
-        return kind(value)
-    except ValueError:
-        raise _no_choice(name, value, tuple(map(str, kind))) from None
 
 
 def _listed(names: Sequence[str]) -> Sequence[str]:
@@ -325,7 +321,7 @@ class RunPlugins:
     """
 
     def __init__(self, options: MeasureOptions, plug_ins: PlugIns) -> None:
-        self._options, self._plug_ins = options, plug_ins
+        self._options = options
         kinds: tuple[Kind, ...] = get_args(Kind)
         self.faults = [fault for kind in kinds for fault in faults(kind)]
         self.methods: list[str | Method] = []
@@ -338,7 +334,11 @@ class RunPlugins:
             except PluginError as fault:
                 self.faults.append(fault)
         taken = {field.name for field in fields_with(self._method_names(), ())}
-        for plugin, trait in self._all_traits():
+        handed = [
+            (Plugin.of("traits", getattr(trait, "function", trait), str(trait.name)), trait)
+            for trait in plug_ins.traits
+        ]
+        for plugin, trait in (*((plugin, None) for plugin in plugins("traits").values()), *handed):
             try:
                 part = plugin.load() if trait is None else trait
                 name = trait_field(plugin, part).name
@@ -348,15 +348,6 @@ class RunPlugins:
                 self.traits.append((plugin, part))
             except PluginError as fault:
                 self.faults.append(fault)
-
-    def _all_traits(self) -> list[tuple[Plugin, Trait | None]]:
-        listed: list[tuple[Plugin, Trait | None]] = [
-            (plugin, None) for plugin in plugins("traits").values()
-        ]
-        for trait in self._plug_ins.traits:
-            plugin = Plugin.of("traits", getattr(trait, "function", trait), str(trait.name))
-            listed.append((plugin, trait))
-        return listed
 
     def _method_names(self) -> list[str]:
         """Return the methods whose columns there are, those that could not be loaded too."""

@@ -1,4 +1,4 @@
-"""The table of what plugs in: the package's own, and what installed packages add by entry points.
+"""The table of plug-ins: the package's own, and those that installed packages add by entry points.
 
 A package adds a detector, segmenter, method, reader or trait by an entry point in the group
 `cucumbervision.detectors`, `.segmenters`, `.methods`, `.readers` or `.traits`. The package's own
@@ -87,7 +87,7 @@ class Plugin:
 
     @classmethod
     def of(cls, kind: Kind, part: Any, name: str = "") -> Plugin:
-        """Return the line of an object that was handed over in Python."""
+        """Return the line of an object that a program passes in Python."""
         plain = part if hasattr(part, "__qualname__") else type(part)
         package = str(plain.__module__).partition(".")[0]
         value = f"{plain.__module__}:{plain.__qualname__}"
@@ -107,7 +107,7 @@ class Plugin:
         return self.package == PACKAGE
 
     def as_json(self) -> dict[str, str]:
-        """Return what files say of it."""
+        """Return its description in files."""
         return {
             "kind": self.kind.removesuffix("s"),
             "name": self.name,
@@ -117,7 +117,7 @@ class Plugin:
         }
 
     def load(self) -> Any:
-        """Return what it names, loaded once.
+        """Return the named object, loaded once.
 
         Raises
         ------

@@ -246,20 +246,20 @@ class Trait(Protocol):
 
 @dataclass(frozen=True)
 class TableMethod:
-    """A method, and what the table of methods says of it; a `Method`.
+    """A `Method` with its entries in the table of methods.
 
     Parameters
     ----------
     name : str
         Its name; `name.lower()` followed by '_cm' is its column.
     title : str
-        What it is, in a few words.
+        Short description.
     kind : LengthKind
-        What its length is the length of.
+        Quantity that its length measures.
     measure : callable
         Takes a `Region`, and returns a `Measurement` of this name.
     needs : tuple of str
-        What it needs beside depth: 'box', 'mask', 'keypoints'.
+        Its inputs beside depth: 'box', 'mask', 'keypoints'.
     rank : int, optional
         Its place in the order of preference, the least first; it is never chosen without one.
     rank_compact : int, optional
@@ -357,8 +357,8 @@ def run_methods(
 ) -> dict[str, Measurement]:
     """Measure one fruit by each of the methods.
 
-    M3 falls back on M2 below 50 valid pixels, M4 on M3 where an endpoint is missing; such a
-    measurement says so in `fallback` and `measured_by`.
+    M3 falls back on M2 below 50 valid pixels, M4 on M3 if an endpoint is missing, as `fallback` and
+    `measured_by` of the measurement state.
 
     Parameters
     ----------
@@ -429,7 +429,7 @@ def _checked(name: str, measurement: Measurement) -> Measurement:
 
 
 def or_else(failed: Measurement, method: str, substitute: Measurement) -> Measurement:
-    """Return what stands in for a measurement that failed, in its name, or why nothing does."""
+    """Return the substitute of a failed measurement under its name, or why there is none."""
     path = (f"{failed.method}:{failed.reason}", *substitute.fallback)
     if substitute.length_m is None:
         return replace(failed, fallback=(*path, f"{method}:{substitute.reason}"))

@@ -1,4 +1,4 @@
-"""What a run is given: its options, which are part of the provenance, a crop, and plug-ins."""
+"""Options of a run, which are part of the provenance, crop packs, and plug-ins."""
 
 from __future__ import annotations
 
@@ -284,7 +284,7 @@ def _network(folder: Path, task: str) -> Path | None:
 
 @dataclass(frozen=True, eq=False)
 class PlugIns:
-    """What a program hands over in Python; copied into other processes by `pickle`.
+    """Plug-ins that a program passes in Python; copied into other processes by `pickle`.
 
     Parameters
     ----------
@@ -312,12 +312,12 @@ class RunPlugins:
     options : MeasureOptions
         The run's choices.
     plug_ins : PlugIns
-        What the program hands over.
+        Plug-ins that the program passes.
 
     Attributes
     ----------
     faults : list of PluginError
-        What was left out, and why.
+        Why plug-ins were left out.
     """
 
     def __init__(self, options: MeasureOptions, plug_ins: PlugIns) -> None:
@@ -370,5 +370,5 @@ class RunPlugins:
 
     @property
     def models(self) -> tuple[dict[str, Any], ...]:
-        """What files say of these."""
+        """Their descriptions in files."""
         return tuple(plugin.as_json() for plugin in self.lines)

@@ -341,21 +341,21 @@ def _vertex(
     return np.asarray(np.minimum(np.maximum(step, -1.0), 1.0))
 
 
-SLIPS = 3  # of the whole outline: along x and y, and outward
+SLIPS = 3  # shifts of the whole outline: along x and y, and outward
 _BENDS = 3 * (BEND_SEGMENTS + 3)
 SHAPE = _BENDS + WIDTH_SEGMENTS + 3
 BODY = SHAPE + SLIPS  # unknowns of body and outline
 _TUKEY, _CAUCHY = 4.685, 2.385  # tuning constants for 95 % efficiency (Huber 1981; Holland 1977)
 _TIP_COSINE, _TIP_RAYS, _LEAST_FORESHORTENED = 0.7, 2, 0.5
 _OVERHANG_ERRORS = 3.0  # less than this many standard errors beyond an end is taken for none
-_GROUND_M = 0.0003  # what even a perfect reading may differ from a smooth body: warts, ribs
+_GROUND_M = 0.0003  # deviation of the skin from a smooth body: warts, ribs
 _ACROSS = 0.3  # a depth reading's position across, in units of the outline's error
 _MISFIT_SD = 5.0
 
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What was seen of one fruit.
+    """Depth and outline of one fruit.
 
     Parameters
     ----------
@@ -368,13 +368,13 @@ class Evidence:
     rays_sd_rad : float
         Their standard deviation across, radians.
     pixel_rad : float
-        What a pixel spans, radians.
+        Size of a pixel, radians.
     points_share, rays_share : float
-        How many independent readings one of them counts for, at most 1: neighbouring pixels
-        err together.
+        Number of independent readings that each counts for, at most 1, because errors of
+        neighbouring pixels are correlated.
     waves_m : ndarray of float64, shape (N, W), optional
-        What waves of depth noise, longer than `points_share` allows for, do to each point's
-        depth, metres along its ray: W unknowns of standard deviation 1 that are fitted along.
+        Effect of waves of depth noise, longer than `points_share` covers, on each point's depth,
+        metres along its ray, for amplitudes of standard deviation 1, which are fitted.
     """
 
     points_m: NDArray[np.float64]
@@ -388,7 +388,7 @@ class Evidence:
 
     @property
     def waves(self) -> int:
-        """How many waves of depth noise are fitted along."""
+        """Number of fitted waves of depth noise."""
         return 0 if self.waves_m is None else self.waves_m.shape[1]
 
     @cached_property
@@ -433,7 +433,7 @@ class Readings:
         )
 
     def scatter(self, limits: tuple[float, float]) -> float:
-        """Return how many times their own errors the gaps scatter, robustly, within limits."""
+        """Return the robust scatter of the gaps relative to their errors, within limits."""
         if not len(self.sd_m):
             return 1.0
         spread = 1.4826 * median_of(np.abs(self.contacts.gap_m / self.sd_m))
@@ -443,8 +443,8 @@ class Readings:
 def point_readings(evidence: Evidence, shape: TubeShape, nuisance: NDArray[np.float64]) -> Readings:
     """Return the depth points against a body.
 
-    Depth errs along its ray, so the gap is the one along the ray, times how squarely that meets
-    the surface. A gap across the surface, taken at the erring point, favours small radii.
+    Depth errors are along the ray, so the gap is measured along the ray and multiplied by the
+    cosine with the surface normal. The distance to the surface would favour small radii.
 
     Parameters
     ----------
@@ -453,7 +453,7 @@ def point_readings(evidence: Evidence, shape: TubeShape, nuisance: NDArray[np.fl
     shape : TubeShape
         The body, camera coordinates.
     nuisance : ndarray of float64, shape (SLIPS + W,)
-        The outline's slips, which do not matter here, and the strength of each wave.
+        The outline's shifts, which are not used here, and the amplitude of each wave.
     """
     contacts, facing = depth_gaps(shape, evidence.directions, evidence.points_far_m)
     across = _ACROSS * evidence.rays_sd_rad * evidence.points_m[:, 2]
@@ -476,8 +476,8 @@ def ray_readings(evidence: Evidence, shape: TubeShape, slip_m: NDArray[np.float6
     shape : TubeShape
         The body, camera coordinates.
     slip_m : ndarray of float64, shape (SLIPS,)
-        How far the whole outline lies beside the depth picture's in x and y, and how much too
-        wide it is; metres at the fruit's distance.
+        Shift of the outline relative to depth in x and y, and its excess width; metres at the
+        fruit's distance.
     """
     contacts = gaps(shape, evidence.rays, rays=True)
     distance = np.sqrt(np.einsum("ij,ij->i", contacts.centres_m, contacts.centres_m))
@@ -516,22 +516,22 @@ def normal_equations(
     readings : tuple of Readings
         Of the points, with K unknowns, and of the rays, with the first of these.
     shares : tuple of float
-        How many independent readings one of either counts for.
+        Number of independent readings that one of each kind counts for.
     scatter : tuple of float
-        How many times their own errors either kind scatters.
+        Scatter of each kind relative to its errors.
     scale : float
-        How much larger than that an error may be before it counts as an outlier's.
+        Factor on the errors, above which a reading is an outlier.
 
     Returns
     -------
     normal : ndarray of float64, shape (K, K)
         1/m².
     target : ndarray of float64, shape (K,)
-        1/m: `normal` times the step to take.
+        1/m: product of `normal` and the step.
     """
     size = readings[0].slope.shape[1]  # the outline knows of no depth noise: it has fewer
     normal, target = np.zeros((size, size)), np.zeros(size)
-    # A rough outline is rough over longer runs: it counts for fewer independent readings.
+    # Errors of a rough outline are correlated over longer runs: fewer independent readings.
     shares = shares[0], shares[1] / max(1.0, scatter[1]) ** 2
     for kind, by, share, trust in zip(readings, scatter, shares, (_tukey, _cauchy), strict=True):
         error = kind.sd_m * by * scale
@@ -554,9 +554,9 @@ def _cauchy(u: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def ends_seen(shape: TubeShape, contacts: Gaps, rays: NDArray[np.float64]) -> tuple[bool, bool]:
-    """Return whether the outline goes round a body's first and last end.
+    """Return whether the outline surrounds a body's first and last end.
 
-    There it touches the last ball on its far side, as seen from the body.
+    There it touches the outer side of the last ball.
 
     Parameters
     ----------
@@ -576,8 +576,8 @@ def end_overhangs(
 ) -> tuple[float, float]:
     """Return how far the outline goes beyond a body's first and last end, metres.
 
-    A pointed end is one that balls do not enter. At most the body's median radius, and 0 where
-    the outline does not go round the end or is not significantly beyond it. Parameters as those
+    Balls do not fill a pointed end. At most the body's median radius; 0 where the outline does not
+    surround the end or is not significantly beyond it. Parameters as those
     of `ends_seen`.
     """
     limit = median_of(shape.width_m)
@@ -599,7 +599,7 @@ def _overhang(beyond_m: NDArray[np.float64]) -> float:
 def _beyond_ends(
     shape: TubeShape, contacts: Gaps, rays: NDArray[np.float64]
 ) -> list[NDArray[np.float64]]:
-    # Of the rays that touch each end's ball on its far side: how far along the axis they lie.
+    # Positions along the axis of the rays that touch the outer side of each end's ball.
     overhangs = []
     centres, _ = shape.balls()
     for share, tip, inner in ((0.0, 0, 1), (1.0, -1, -2)):

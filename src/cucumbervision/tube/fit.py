@@ -39,21 +39,21 @@ if TYPE_CHECKING:
 # In shares of the length L and the radius r.
 _TWIST_SD = 1.0  # the curvature's change k' over the length: k' L^2
 _BEND_SD, _BEND_CHANGE_SD = 8.0, 100.0  # curvature k, 1/m, and its change along the fruit, 1/m^2
-_TILT_SD = 0.6  # the far end beyond the near one, along the view
+_TILT_SD = 0.6  # difference of the ends along the view
 _SPEED_SD = 0.02  # a control point's distance to the next, from one to the next
-_WIDTH_SD = 0.05  # the radius' second difference; with heavy tails, so that shoulders may stand
+_WIDTH_SD = 0.05  # the radius' second difference; with heavy tails, which permit shoulders
 _WIDTH_TAIL = 1.0
-# How far, in radii, an end may be from where it was guessed: one that the outline shows (where
-# this must not matter), and one that a leaf or the picture's edge hides.
+# Tolerance of an end's position about the initial guess, radii: for a visible end (where it must
+# not matter), and for one that a leaf or the edge of the image hides.
 _ANCHOR_SD, _HIDDEN_ANCHOR_SD = 1.5, 0.15
-# Colour and depth are registered to about a pixel; masks are drawn too wide or too narrow. More
-# room for the latter would win on masks 3 px too wide, but a real sensor's depth does not know a
-# body's roundness well enough: the length of rigid bodies then varies between captures.
+# Colour and depth are registered to about a pixel, and masks are too wide or too narrow. A larger
+# tolerance for the latter is better on masks 3 px too wide, but real depth does not constrain the
+# roundness of a body enough: the length of rigid bodies then varies between captures.
 _SLIP_SD_PX = (1.0, 1.0, 0.1)
 
 
 def end_hold(visible: tuple[bool, bool]) -> NDArray[np.float64]:
-    """Return how far each end may be from where it was guessed, radii, shape (2,)."""
+    """Return the tolerance of each end's position about the guess, radii, shape (2,)."""
     return np.where(visible, _ANCHOR_SD, _HIDDEN_ANCHOR_SD)
 
 
@@ -64,10 +64,10 @@ def add_shape_prior(
     anchors_m: NDArray[np.float64],
     anchors_sd: NDArray[np.float64],
 ) -> None:
-    """Add to normal equations, in place, how a fruit bends, tilts and grows thick.
+    """Add the prior of a fruit's shape to normal equations, in place.
 
-    Its bending changes slowly along it and is not strong, its control points keep their
-    distances, it rather lies across the view than along it, and its radius changes smoothly.
+    Curvature is small and changes slowly, control points are evenly spaced, the fruit is more
+    likely to lie across the view than along it, and the radius changes smoothly.
 
     Parameters
     ----------
@@ -78,9 +78,9 @@ def add_shape_prior(
     shape : TubeShape
         The present body, camera coordinates.
     anchors_m : ndarray of float64, shape (2, 3)
-        Where the ends were guessed.
+        Initial positions of the ends.
     anchors_sd : ndarray of float64, shape (2,)
-        How far from there they may be, radii (`end_hold`).
+        Their tolerances, radii (`end_hold`).
     """
     bend, width = shape.bend_m, shape.width_m
     count, split = len(bend), bend.size
@@ -93,13 +93,13 @@ def add_shape_prior(
     hold = ends / (anchors_sd * radius)[:, None]
     # For each coordinate alike.
     same = twist / twist_sd**2 + smooth / (_BEND_SD * step**2) ** 2 + hold.T @ hold
-    # Control points keep their distances: nothing else tells where along the curve they sit.
+    # Control points are evenly spaced: nothing else determines their positions along the curve.
     tangent = bend[2:] - bend[:-2]
     tangent /= np.maximum(np.sqrt(np.einsum("ij,ij->i", tangent, tangent)), 1e-9)[:, None]
     even = np.empty((count - 1, split))
     by_axis = even.reshape(count - 1, count, 3)
     np.multiply(second[:, :, None], tangent[:, None, :] / (_SPEED_SD * step), out=by_axis[:-1])
-    # Where depth hardly decides, a fruit rather lies across the view than along it.
+    # Where depth constrains it little, a fruit is assumed to lie across the view.
     middle = bend.mean(axis=0)
     middle /= np.sqrt(middle @ middle) * _TILT_SD * step * BEND_SEGMENTS
     np.multiply((ends[1] - ends[0])[:, None], middle, out=by_axis[-1])
@@ -130,7 +130,7 @@ def add_nuisance_prior(
     nuisance: NDArray[np.float64],
     evidence: Evidence,
 ) -> None:
-    """Add to normal equations, in place, how far the outline may slip and how strong waves are.
+    """Add the priors of the outline's shift and of the depth waves to normal equations, in place.
 
     Parameters
     ----------
@@ -150,22 +150,22 @@ def add_nuisance_prior(
     target[last] -= weight * nuisance
 
 
-# How much larger than its own each reading's error is taken to be, step by step.
+# Factor on the error of each reading, by step.
 _SCHEDULE = (16.0, 10.0, 6.0, 4.0, 2.5, 1.6, 1.0, 1.0, 1.0)
-_MORE_STEPS = 6  # after these, until nothing moves by more, or the length has stood still twice
+_MORE_STEPS = 6  # at most, until the step is smaller, or the length has not changed twice
 _STILL_M, _STILL_SHARE = 1e-4, 3e-4
-_SETTLED = 6  # from this step on the outline's and the depth's own scatter is used
+_SETTLED = 6  # first step that uses the scatter of outline and depth
 END_SHARE = 0.1
 """Share of the axis over which an end's direction is taken."""
 
 _LEAST_WIDTH = 0.15  # of the middle radius
-_LEAST_HOLD = 1e-9  # of the mean weight, on every unknown: nothing may be left quite free
+_LEAST_HOLD = 1e-9  # of the mean weight, on every unknown, so that the equations have a solution
 SCATTER_POINTS, SCATTER_RAYS = (0.7, 3.0), (0.5, 2.0)
 
 
 @dataclass(frozen=True, eq=False)
 class TubeFitting:
-    """A fitted shape, and what remains.
+    """A fitted shape with its residuals.
 
     Parameters
     ----------
@@ -175,12 +175,12 @@ class TubeFitting:
         Of the shape's control points row by row, of its control radii, and of `slip_px` at the
         fruit's distance; square metres.
     points, rays : Gaps
-        What remains at the depth points and at the outline's rays.
+        Residuals of the depth points and of the outline's rays.
     ends_seen : tuple of bool
         Whether the outline goes round the curve's first and last end.
     misfit : float
         Squared gaps in units of their own error, each counted up to `_MISFIT_SD`, as many as
-        there are independent readings: what tells fits of one fruit from each other.
+        there are independent readings; for comparing fits of one fruit.
     """
 
     shape: TubeShape
@@ -231,21 +231,21 @@ def _kron(weights: NDArray[np.float64], matrix: NDArray[np.float64]) -> NDArray[
 def fit_shape(evidence: Evidence, guess: TubeShape) -> TubeFitting:
     """Fit the shape by robust Gauss-Newton steps, from coarse to fine.
 
-    Depth points are weighted by Tukey's biweight (flying pixels must have no say), outline rays
-    by Cauchy's weight (a stalk or a shoulder must keep some). Towards the end both kinds are
-    rescaled by their own scatter, so that a rough outline trusts depth more, and the reverse.
+    Depth points are weighted by Tukey's biweight, which ignores flying pixels, outline rays by
+    Cauchy's weight, which keeps some weight for a stalk or a shoulder. In the last steps both
+    kinds are rescaled by their scatter, so that a rough outline gives depth more weight.
 
     Parameters
     ----------
     evidence : Evidence
         What was seen.
     guess : TubeShape
-        Where to start; its ends rather short of the fruit's than beyond.
+        Initial shape; its ends should lie inside the fruit.
 
     Returns
     -------
     TubeFitting
-        The shape with its covariance, and what remains.
+        The shape with its covariance and residuals.
 
     Examples
     --------
@@ -280,7 +280,7 @@ def _gaps_of(
     centres_m: NDArray[np.float64],
     *others: NDArray[Any],
 ) -> Gaps:
-    # What the kernel wrote; the last array holds the position of each reading along the curve.
+    # Results of the kernel; the last array holds the position of each reading along the curve.
     index = others[-1]
     bend, width = (table.take(index, axis=0) for table in bases(FINE + 1))
     return Gaps(gap_m, away, bend, width, centres_m, index / FINE)
@@ -325,16 +325,16 @@ def _fit_by_numpy(evidence: Evidence, guess: TubeShape) -> TubeFitting:
 def solve_held(
     normal: NDArray[np.float64], target: NDArray[np.float64], body: int
 ) -> NDArray[np.float64]:
-    """Return the step that normal equations ask for; no unknown of the body is left quite free.
+    """Solve normal equations for the step, with a small ridge on the unknowns of the body.
 
     Parameters
     ----------
     normal : ndarray of float64, shape (K, K)
         Changed in place: its first `body` diagonal elements grow by `_LEAST_HOLD` of their mean.
     target : ndarray of float64, shape (K,)
-        What `normal` times the step is.
+        Product of `normal` and the step.
     body : int
-        How many of the unknowns are the body's.
+        Number of unknowns of the body.
 
     Raises
     ------
@@ -351,9 +351,9 @@ def stepped(
 ) -> tuple[TubeShape, NDArray[np.float64]]:
     """Return a body after a step, and the step as it was taken.
 
-    A step beyond the body's own width would leave the readings that led it, so it is shortened;
-    a body that vanishes on the way would lose its readings there for good, so its radius stays
-    above `_LEAST_WIDTH` of the median.
+    A step longer than the body's width is shortened, because it would leave the readings that
+    determined it. The radius stays above `_LEAST_WIDTH` of the median, because a body that
+    vanishes somewhere would lose its readings there.
 
     Parameters
     ----------
@@ -362,7 +362,7 @@ def stepped(
     move : ndarray of float64, shape (K,)
         The step; its first `SHAPE` unknowns are the body's, metres.
     body : int
-        How many of its unknowns are metres that bound the step.
+        Number of its unknowns that limit the step, metres.
     """
     limit = 0.6 * float(np.abs(shape.width_m).max()) + 0.002
     move = move * min(1.0, limit / max(float(np.abs(move[:body]).max()), 1e-12))
@@ -373,16 +373,16 @@ def stepped(
 
 
 _ROUNDS = 4
-_DEEP_M = 0.03  # what a bent and round fruit stands out of its plane
+_DEEP_M = 0.03  # distance of a bent and round fruit from its plane
 _LEAST_MIDLINE = 9  # points of a mask, and readings, that a middle line needs
 _PLANE_ROUNDS, _PLANE_RIDGE, _LEAST_OFF_M = 6, 1e-6, 0.002
 
 
 def near_depths(points_m: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return which points are near the plane that most of them lie along.
+    """Return which points are near the plane of most of them.
 
-    A tilted fruit lies along a plane however steep it is and whatever hides its middle; what
-    the mask caught of the background does not, nor what the sensor blends between the two.
+    A tilted fruit lies along a plane even if it is steep or its middle is hidden. Background in
+    the mask does not, nor do readings that the sensor blends between the two.
 
     Parameters
     ----------
@@ -423,7 +423,7 @@ def guess_shape(points_m: NDArray[np.float64], level: NDArray[np.bool_] | None =
     points_m : ndarray of float64, shape (N, 3)
         Points of the visible surface, camera coordinates, metres.
     level : ndarray of bool, shape (N,), optional
-        Which points may be the fruit's: what `near_depths` says; all points without.
+        Points that may belong to the fruit, from `near_depths`; by default all.
 
     Returns
     -------
@@ -472,20 +472,19 @@ def guess_from_picture(
 ) -> TubeShape:
     """Guess a tube from its mask: a parabola in the picture, on a plane in depth.
 
-    Of a fruit nearer than the sensor can see hardly a reading is left to lay a plane through;
-    then its outline tells how it lies: a fruit about as thick all along looks thicker the nearer
-    it is.
+    A fruit nearer than the sensor's range has too few readings for a plane. Its outline then gives
+    the tilt, because a fruit of even thickness appears thicker where it is nearer.
 
     Parameters
     ----------
     picture : ndarray of float64, shape (N, 2)
         The mask's pixels as x / z and y / z.
     has_depth : ndarray of bool, shape (N,)
-        Which of them have a depth reading.
+        Whether each of them has a depth reading.
     inverse_depth : ndarray of float64, shape (K,)
         One over the depth of these, 1/m.
     by_girth : bool
-        Whether the plane's slope is the outline's rather than that of the readings.
+        Whether the outline determines the slope of the plane, instead of the readings.
 
     Returns
     -------
@@ -531,7 +530,7 @@ def guess_from_picture(
 def guess_from_midline(
     picture: NDArray[np.float64], mask: NDArray[np.bool_], depth_m: NDArray[np.float64]
 ) -> TubeShape | None:
-    """Guess a tube along the middle line of its mask, however much the fruit bends.
+    """Guess a tube along the middle line of its mask, also for a strongly bent fruit.
 
     The line is the cheapest path between the two points of the mask that are farthest apart
     within it, where a step costs the more the nearer it is to the outline (Dijkstra 1959).
@@ -541,9 +540,9 @@ def guess_from_midline(
     picture : ndarray of float64, shape (G, 2)
         A grid over the mask's window as x / z and y / z.
     mask : ndarray of bool, shape (G,)
-        Which of its points belong to the mask.
+        Whether each of its points belongs to the mask.
     depth_m : ndarray of float64, shape (G,)
-        The depth there, metres; 0 where there is none.
+        Depth at each of them, metres; 0 without a reading.
 
     Returns
     -------
@@ -602,7 +601,7 @@ def _nearest(
 
 
 def _graph(pairs: NDArray[np.intp], cost: NDArray[np.float64], count: int) -> Any:
-    # Of points: what the way between the two of each pair costs.
+    # Graph of the points with the cost of each pair.
     from scipy.sparse import coo_array
 
     ends = pairs.T.astype(np.int32)  # SciPy 1.13 takes no other indices
@@ -610,7 +609,7 @@ def _graph(pairs: NDArray[np.intp], cost: NDArray[np.float64], count: int) -> An
 
 
 def _paths(graph: Any, start: int) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-    # What the way from a point to each other point costs, and the last point before that one.
+    # Cost of the path from a point to every other one, and the last point before that.
     from scipy.sparse import csgraph
 
     result: Any = csgraph.dijkstra(graph, False, start, True)  # type: ignore[call-overload]

@@ -356,11 +356,8 @@ _log = logging.getLogger(__name__)
 _SAID_S = 2.0  # shorter waits are not logged
 _WAITS_S = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 32.0)
 _FINAL = (
-    FileNotFoundError,
-    FileExistsError,
-    PermissionError,
-    IsADirectoryError,
-    NotADirectoryError,
+    *(CucumberVisionError, FileNotFoundError, FileExistsError, PermissionError),
+    *(IsADirectoryError, NotADirectoryError),
 )
 
 Result = TypeVar("Result")

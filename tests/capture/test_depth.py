@@ -29,11 +29,6 @@ def test_units(raw: Any, unit_m: float | None, expected_m: float) -> None:
     assert depth_m.tolist() == [[np.float32(expected_m)]]
 
 
-def test_nan_infinity_and_negative_are_no_readings() -> None:
-    raw = np.array([[np.nan, np.inf, -np.inf, -0.5, 0.0, 0.5]])
-    assert depth_to_metres(raw).tolist() == [[0.0, 0.0, 0.0, 0.0, 0.0, 0.5]]
-
-
 @pytest.mark.parametrize(
     ("raw", "unit_m", "words"),
     [

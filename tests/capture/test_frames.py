@@ -6,21 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cucumbervision.capture.frames import Capture, valid_depth
+from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.errors import CaptureError
-
-
-def test_readings_end_at_10_cm_and_5_m() -> None:
-    depth = np.array([0.0999, 0.1, 5.0, 5.001, 0.0, -1.0, np.nan, np.inf], np.float32)
-    assert valid_depth(depth).tolist() == [False, True, True] + [False] * 5
-
-
-def test_size_and_fill(capture: Capture) -> None:
-    depth = capture.depth_m.copy()
-    depth[:12] = 0.0
-    assert (capture.width, capture.height) == (64, 48)
-    assert replace(capture, depth_m=depth).fill == 0.75
 
 
 @pytest.mark.parametrize(

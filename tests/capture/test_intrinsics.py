@@ -12,25 +12,6 @@ DEPTH = Intrinsics(1280, 720, 640.0, 640.0, 641.3, 358.7, stream=Stream.DEPTH)
 LENS = (-0.056, 0.067, 0.0008, -0.0007, -0.021)
 
 
-def test_the_right_ones_pass_unchanged() -> None:
-    assert check_intrinsics(COLOR, 1280, 720) is COLOR
-    # A D455's colour stream has about 640: the number alone says nothing.
-    d455 = Intrinsics(1280, 720, 640.0, 640.0, 641.3, 358.7)
-    assert check_intrinsics(d455, 1280, 720, color=COLOR) is d455
-
-
-def test_the_depth_streams_are_refused_with_what_they_would_do() -> None:
-    # 910.5 / 640 - 1 = 0.4227
-    with pytest.raises(IntrinsicsError, match=r"k\.json: .*depth stream's.*\+42 % wrong"):
-        check_intrinsics(DEPTH, 1280, 720, color=COLOR, source="k.json")
-    # A D455 the other way: 640 / 910.5 - 1.
-    wrong, right = DEPTH, Intrinsics(1280, 720, 500, 500, 640, 360)
-    with pytest.raises(IntrinsicsError, match=r"-22 % wrong"):
-        check_intrinsics(wrong, 1280, 720, color=right)
-    with pytest.raises(IntrinsicsError, match="cannot be said without the colour calibration"):
-        check_intrinsics(DEPTH, 1280, 720)
-
-
 @pytest.mark.parametrize(
     ("size", "percent"),
     [

@@ -18,25 +18,6 @@ def named(*names: str) -> Folder:
     return folder
 
 
-def test_files_that_systems_add_are_no_files() -> None:
-    added = ("a/._rgb.png", "__MACOSX/a/rgb.png", "@eaDir/rgb.png", "a/Thumbs.db", ".DS_Store")
-    # Only whole names count, and only dots with an underscore.
-    assert list(named(*added, "a/Thumbs.db.png", "a/.rgb.png", "a/rgb.png")) == [
-        "a/Thumbs.db.png",
-        "a/.rgb.png",
-        "a/rgb.png",
-    ]
-
-
-def test_each_file_is_taken_once() -> None:
-    folder = named("capture.json", "color.png", "masks/0.png", "b/capture.json", "b/masks/1.png")
-    taken = folder.take("capture.json", "", "masks")
-    assert taken == {"": {"": ["color.png"], "masks": ["0.png"]}, "b": {"": [], "masks": ["1.png"]}}
-    assert list(folder) == []
-    assert folder.take("capture.json", "") == {}
-    assert folder.kinds() == "no file"
-
-
 def test_captures_of_one_name_stay_apart_and_load_under_theirs() -> None:
     loaded: list[str] = []
 

@@ -1,16 +1,8 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
-from cucumbervision.fruit.masks import box_iou, box_ious, share_inside, suppress
-
-
-def test_overlap_of_boxes() -> None:
-    boxes = np.array([[0.0, 0, 100, 20], [50, 0, 150, 20], [100, 0, 200, 20]])
-    # Half of each shared: 50 of 150; touching boxes share nothing.
-    assert box_ious(boxes[:1], boxes)[0] == pytest.approx([1.0, 1 / 3, 0.0])
-    assert box_iou(boxes[0], boxes[1]) == pytest.approx(1 / 3)
+from cucumbervision.fruit.masks import share_inside, suppress
 
 
 def test_the_best_region_counts() -> None:

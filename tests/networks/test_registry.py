@@ -65,19 +65,6 @@ def test_embedded_weights_come_with_licence_and_provenance() -> None:
         assert metadata["licence"] == "Apache-2.0"
 
 
-def test_embedded_files_are_resolved_by_role(registry: Registry, tmp_path: Path) -> None:
-    assert registry.resolve("inside") == {"network": tmp_path / "weights" / "inside.onnx"}
-    assert registry.get("inside").size_bytes == 3
-
-
-def test_the_default_of_a_task_is_embedded(registry: Registry) -> None:
-    default = registry.default("segment")
-    assert default is not None
-    assert default.name == "inside"
-    assert registry.default("pose") is None
-    assert registry.default("prompted-mask") is None  # there is one, but it is not here
-
-
 def test_a_changed_byte_is_found(registry: Registry, tmp_path: Path) -> None:
     path = tmp_path / "weights" / "inside.onnx"
     path.write_bytes(b"abd")

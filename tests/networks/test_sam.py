@@ -192,14 +192,6 @@ def test_colour_order_counts(segmenter: Sam) -> None:
     assert not np.array_equal(one.mask, two.mask)
 
 
-def test_a_speck_is_too_small(segmenter: Sam) -> None:
-    speck = [(200, 200), (206, 202)]
-    fruit = Instance(box_of_mask(tube(480, 640, speck, 5)))
-    (instance,) = segmenter.segment(drawn(480, 640, speck, thick=5), [fruit])
-    assert instance.mask_failure == "mask-small"
-    assert instance.mask is None
-
-
 def test_a_mask_far_beyond_its_box_is_refused() -> None:
     by_point = open_sam(runtime="onnxruntime", prompt="point")
     middle = Instance(np.array([175.5, 140.5, 195.5, 170.5]), detector_mask=tube(480, 640, LEFT))

@@ -74,9 +74,3 @@ def test_one_to_one_takes_at_most_300() -> None:
     out = choose_raw(raw(*anchors), 1, 0.3, one_to_one=True)
     assert len(out) == 300
     assert out[-1, 4] == pytest.approx(0.41)
-
-
-def test_one_to_many_suppresses_within_a_class_only() -> None:
-    same = choose_raw(raw((5, 5, 4, 4, 0.9, 0), (5, 5, 4, 4, 0.8, 0)), 2, 0.3, one_to_one=False)
-    other = choose_raw(raw((5, 5, 4, 4, 0.9, 0), (5, 5, 4, 4, 0, 0.8)), 2, 0.3, one_to_one=False)
-    assert (len(same), len(other)) == (1, 2)

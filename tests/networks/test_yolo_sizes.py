@@ -14,14 +14,6 @@ def find(left: float, confidence: float, size: int, name: str = "cucumber") -> I
     return Instance(box, confidence, class_name=name, input_size_px=size)
 
 
-def test_the_confidence_is_the_mean_over_the_sizes_and_the_box_the_weighted_mean() -> None:
-    # 30 px apart: an IoU of 70/130. Box: (0.75 x 0 + 0.25 x 30) / (0.75 + 0.25) = 7.5.
-    (merged,) = merge_sizes([[find(0, 0.75, 640)], [find(30, 0.25, 896)]])
-    assert merged.confidence == pytest.approx(0.5)
-    assert merged.box.tolist() == pytest.approx([7.5, 0, 107.5, 20])
-    assert merged.input_size_px == 640
-
-
 def test_the_mask_is_that_of_the_first_size_that_is_half_as_sure_as_the_best() -> None:
     (both,) = merge_sizes([[find(0, 0.45, 640)], [find(0, 0.9, 896)]])
     (weak,) = merge_sizes([[find(0, 0.44, 640)], [find(0, 0.9, 896)]])

@@ -22,13 +22,7 @@ from cucumbervision.capture.frames import Capture
 from cucumbervision.run.fields import FIELDS
 from cucumbervision.run.measurer import Measurer
 from cucumbervision.run.options import MeasureOptions
-from cucumbervision.service.app import (
-    MeasureReply,
-    ServiceSettings,
-    Work,
-    create_app,
-    request_limits,
-)
+from cucumbervision.service.app import MeasureReply, ServiceSettings, create_app, request_limits
 from cucumbervision.service.client import packed
 
 TOKEN = "0123456789abcdef"
@@ -156,24 +150,6 @@ def test_a_body_that_is_too_large_is_refused(measurer: Measurer, told: bool) -> 
         "error": "HTTPError",
         "message": "the body is larger than the 2 MB that are taken",
     }
-
-
-def test_who_comes_when_too_many_wait_is_told_when_to_come_again(
-    measurer: Measurer, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    taken: list[Work] = []
-    made = Work.__init__
-
-    def keep(self: Work, *given: object) -> None:
-        made(self, *given)  # type: ignore[arg-type]
-        taken.append(self)
-
-    monkeypatch.setattr(Work, "__init__", keep)
-    with TestClient(create_app(measurer, ServiceSettings(waiting=0)), HERE) as client:
-        with taken[0].place():
-            reply = client.post("/measure", files=[("files", ("a.png", b""))])
-        assert (reply.status_code, reply.headers["retry-after"]) == (503, "1")
-        assert client.post("/measure", files=[("files", ("a.png", b""))]).status_code == 200
 
 
 def test_refusals_say_why_in_one_form(client: TestClient) -> None:

@@ -134,37 +134,24 @@ class Capture:
         return f"<Capture {self.name}: {self.width}x{self.height}>"
 
     def __post_init__(self) -> None:
-        if self.color.ndim != 3 or self.color.shape[2] != 3 or self.color.dtype != np.uint8:
-            raise CaptureError(
-                f"colour is {self.color.dtype} {self.color.shape}, not uint8 (H, W, 3)",
-                source=self.source or self.name,
-                remedy="give an 8-bit RGB picture",
-            )
-        if self.depth_m.ndim != 2 or self.depth_m.dtype != np.float32:
-            raise DepthError(
-                f"depth is {self.depth_m.dtype} {self.depth_m.shape}, not float32 (H, W) in metres",
-                source=self.source or self.name,
-                remedy="give one depth value a pixel",
-            )
-        sizes = {
-            "colour": self.color.shape[:2],
-            "depth": self.depth_m.shape,
-            **{f"mask {i}": m.shape for i, m in enumerate(self.masks)},
-        }
+        source, color, depth_m = self.source or self.name, self.color, self.depth_m
+        if color.ndim != 3 or color.shape[2] != 3 or color.dtype != np.uint8:
+            fault = f"colour is {color.dtype} {color.shape}, not uint8 (H, W, 3)"
+            raise CaptureError(fault, source=source, remedy="give an 8-bit RGB picture")
+        if depth_m.ndim != 2 or depth_m.dtype != np.float32:
+            fault = f"depth is {depth_m.dtype} {depth_m.shape}, not float32 (H, W) in metres"
+            raise DepthError(fault, source=source, remedy="give one depth value a pixel")
+        masks = {f"mask {i}": m.shape for i, m in enumerate(self.masks)}
+        sizes = {"colour": color.shape[:2], "depth": depth_m.shape, **masks}
         if len(set(sizes.values())) > 1:
-            text = ", ".join(f"{k} {s[1]}x{s[0]}" for k, s in sizes.items())
-            raise CaptureError(
-                f"sizes differ: {text}",
-                source=self.source or self.name,
-                remedy="align depth to colour, and give masks of the picture's own size",
-            )
+            fault = "sizes differ: " + ", ".join(f"{k} {s[1]}x{s[0]}" for k, s in sizes.items())
+            remedy = "align depth to colour, and give masks of the picture's own size"
+            raise CaptureError(fault, source=source, remedy=remedy)
         if self.gravity is not None and not 0 < np.linalg.norm(self.gravity) < np.inf:
-            raise CaptureError(
-                f"gravity {tuple(self.gravity)} is no direction",
-                source=self.source or self.name,
-                remedy="give it in camera coordinates, or leave it out",
-            )
-        check_intrinsics(self.intrinsics, self.width, self.height, source=self.source or self.name)
+            fault = f"gravity {tuple(self.gravity)} is no direction"
+            remedy = "give it in camera coordinates, or leave it out"
+            raise CaptureError(fault, source=source, remedy=remedy)
+        check_intrinsics(self.intrinsics, self.width, self.height, source=source)
         signs = {
             Doubt.PRINCIPAL_POINT: is_off_centre(self.intrinsics),
             Doubt.DEPTH_ALONG_RAY: is_along_ray(self.depth_m, self.intrinsics),

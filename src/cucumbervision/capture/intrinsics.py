@@ -76,30 +76,32 @@ class Intrinsics:
     coefficients: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
-        numbers = (self.fx_px, self.fy_px, self.cx_px, self.cy_px, *self.coefficients)
-        if not np.isfinite(numbers).all() or min(self.fx_px, self.fy_px) <= 0:
-            raise IntrinsicsError(
-                f"focal length {self.fx_px}, {self.fy_px} px and centre {self.cx_px}, "
-                f"{self.cy_px} px do not describe a camera",
-                remedy="give fx, fy, cx, cy in pixels, all finite, the focal lengths positive",
-            )
-        if min(self.width, self.height) <= 0 or max(self.width, self.height) >= 2**31:
-            raise IntrinsicsError(
-                f"size {self.width}x{self.height} is not a picture size",
-                remedy="give the width and height in pixels that the calibration is for",
-            )
         focal, longest = (self.fx_px, self.fy_px), max(self.width, self.height)
-        if (
+        numbers = (*focal, self.cx_px, self.cy_px, *self.coefficients)
+        size = f"{self.width}x{self.height}"
+        if not np.isfinite(numbers).all() or min(focal) <= 0:
+            fault = (
+                f"focal length {self.fx_px}, {self.fy_px} px and centre {self.cx_px}, "
+                f"{self.cy_px} px do not describe a camera"
+            )
+            remedy = "give fx, fy, cx, cy in pixels, all finite, the focal lengths positive"
+        elif min(self.width, self.height) <= 0 or longest >= 2**31:
+            fault = f"size {size} is not a picture size"
+            remedy = "give the width and height in pixels that the calibration is for"
+        elif (
             min(focal) < _SHORTEST_FOCAL * longest
             or max(focal) > _LONGEST_FOCAL * longest
             or max(focal) >= _MOST_ASPECT * min(focal)
             or max(map(abs, self.coefficients)) > _MOST_COEFFICIENT
         ):
-            raise IntrinsicsError(
-                f"no camera of {self.width}x{self.height} pixels has focal lengths of "
-                f"{self.fx_px:g} and {self.fy_px:g} px and distortion {self.coefficients}",
-                remedy="give the values in pixels that belong to this size of picture",
+            fault = (
+                f"no camera of {size} pixels has focal lengths of {self.fx_px:g} and "
+                f"{self.fy_px:g} px and distortion {self.coefficients}"
             )
+            remedy = "give the values in pixels that belong to this size of picture"
+        else:
+            return
+        raise IntrinsicsError(fault, remedy=remedy)
 
     @classmethod
     def from_matrix(
@@ -200,10 +202,9 @@ def pinhole_of_matrix(matrix: ArrayLike) -> tuple[float, float, float, float]:
     pixels = bool((np.abs(k) < _MOST_PX).all())  # False for NaN
     form = pixels and np.allclose(k[2], (0, 0, 1)) and not k[0, 1] and not k[1, 0]
     if not form:
-        raise IntrinsicsError(
-            "the camera matrix is not [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]",
-            remedy="give the 3x3 matrix row by row, in pixels, without skew",
-        )
+        fault = "the camera matrix is not [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]"
+        remedy = "give the 3x3 matrix row by row, in pixels, without skew"
+        raise IntrinsicsError(fault, remedy=remedy)
     fx, fy, cx, cy = k[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()
     return fx, fy, cx, cy
 

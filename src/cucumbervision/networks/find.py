@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from functools import cache
+from dataclasses import dataclass, field, replace
+from functools import cache, partial
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast
 
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from cucumbervision.fruit.instance import Instance
 
 
+@dataclass(frozen=True)
 class Detectors:
     """A detector and the network beside it that gives keypoints, with their detections merged.
 
@@ -50,28 +51,22 @@ class Detectors:
         Whether `fruit` looks once, and only at what the detector is sure of.
     """
 
-    def __init__(
-        self,
-        detector: YoloDetector,
-        pose: YoloDetector | None = None,
-        confidence: float = DEFAULT_CONFIDENCE,
-        *,
-        fruit: FruitLooker | None = None,
-        quick: bool = False,
-    ) -> None:
-        self._detector, self._pose, self._confidence = detector, pose, confidence
-        self._fruit, self._quick = fruit, quick
+    detector: YoloDetector
+    pose: YoloDetector | None = None
+    confidence: float = DEFAULT_CONFIDENCE
+    fruit: FruitLooker | None = None
+    quick: bool = False
 
     @property
     def labels(self) -> tuple[str, ...]:
         """The detector's class names, in its order; empty if it has none."""
-        return tuple(name for _, name in sorted(self._detector.names.items()))
+        return tuple(name for _, name in sorted(self.detector.names.items()))
 
     @property
     def gives_keypoints(self) -> bool:
         """Whether fruit may come with keypoints."""
-        from_detector = self._detector.task == "pose"
-        return from_detector or self._pose is not None or self._fruit is not None
+        from_detector = self.detector.task == "pose"
+        return from_detector or self.pose is not None or self.fruit is not None
 
     def find(
         self,
@@ -96,11 +91,11 @@ class Detectors:
         tuple of Instance
             Best first, with masks and keypoints.
         """
-        detector, pose = self._detector, self._pose
+        detector, pose = self.detector, self.pose
         looks, least_confidence = None, None
-        if self._fruit is not None:
-            looks = PictureLooks(self._fruit, color_rgb, depth_m, focal_px, self._quick)
-        if looks is not None and not self._quick:
+        if self.fruit is not None:
+            looks = PictureLooks(self.fruit, color_rgb, depth_m, focal_px, self.quick)
+        if looks is not None and not self.quick:
             least_confidence = min(CANDIDATE_CONFIDENCE, detector.confidence)
         detections = detector.detect(color_rgb, least_confidence)
         posed = pose.detect(color_rgb) if pose is not None and detections else None
@@ -108,7 +103,7 @@ class Detectors:
             detections,
             posed,
             depth_m,
-            confidence=self._confidence,
+            confidence=self.confidence,
             looks=detector.looks,
             look=None if looks is None else looks.rescore,
         )
@@ -271,12 +266,13 @@ def open_segmenter(
 Small = TypeVar("Small", FruitLooker, EndLooker)
 
 
+@dataclass(eq=False)
 class NetworkLoader:
     """Loads networks by name from a registry, or from a user's file.
 
     Parameters
     ----------
-    registry : Registry, optional
+    registry : Registry
         The named networks; the package's registry if not given.
     runtime : str
         Runtime, as in `open_network`.
@@ -296,6 +292,9 @@ class NetworkLoader:
     ----------
     models : list of dict
         Name, task, SHA-256 and runtime of each loaded network.
+    fruit_looker, segmenter, verify : callable
+        Return the network that looks at each fruit, a segmenter by its name, and a network's
+        files by role; each is loaded once.
 
     Examples
     --------
@@ -306,26 +305,21 @@ class NetworkLoader:
     ['mobile-sam']
     """
 
-    def __init__(
-        self,
-        registry: Registry | None = None,
-        *,
-        runtime: str = "auto",
-        confidence: float = DEFAULT_CONFIDENCE,
-        prompt: str = "box+point",
-        full_precision: bool = False,
-        most_fruit: int | None = None,
-        input_sizes: tuple[int, ...] = (),
-    ) -> None:
-        self.registry = registry or load_registry()
-        self.models: list[dict[str, Any]] = []
-        self._runtime, self._prompt, self._full_precision = runtime, prompt, full_precision
-        self._confidence, self._most_fruit, self._input_sizes = confidence, most_fruit, input_sizes
-        self._pose_confidence = pose_floor(confidence)
-        self._small: dict[str, Any] = {}
-        self._orders_ends = False
+    registry: Registry = field(default_factory=load_registry)
+    runtime: str = "auto"
+    confidence: float = DEFAULT_CONFIDENCE
+    prompt: str = "box+point"
+    full_precision: bool = False
+    most_fruit: int | None = None
+    input_sizes: tuple[int, ...] = ()
+    models: list[dict[str, Any]] = field(default_factory=list, init=False)
+    _orders_ends: bool = field(default=False, init=False)
+
+    def __post_init__(self) -> None:
         self.verify = cache(self.registry.resolve)  # each file is hashed once
-        self._segmenters: dict[str | None, NetworkSegmenter] = {}
+        self.fruit_looker = cache(partial(self._small_network, "fruit", FruitLooker))
+        self._end_looker = cache(partial(self._small_network, "look", EndLooker))
+        self.segmenter = cache(self._segmenter)
 
     def stem_looker(self) -> FruitLooker | None:
         """Return what tells the stem end, if a loaded network orders keypoints by place."""
@@ -341,7 +335,7 @@ class NetworkLoader:
         return None if self.registry.default("look") is None else self._look
 
     def _look(self, crops: Sequence[EndCrop]) -> list[EndLook]:
-        looker = self._small_network("look", EndLooker)
+        looker = self._end_looker()
         return [] if looker is None else looker.look(crops)
 
     def yolo(self, chosen: Path | str, confidence: float | None = None) -> YoloDetector:
@@ -362,11 +356,11 @@ class NetworkLoader:
         path = self.verify(chosen)["network"] if isinstance(chosen, str) else chosen
         network = YoloDetector(
             path,
-            self._runtime,
-            self._confidence if confidence is None else confidence,
-            full_precision=self._full_precision,
-            most_fruit=self._most_fruit,
-            input_sizes=self._input_sizes,
+            self.runtime,
+            self.confidence if confidence is None else confidence,
+            full_precision=self.full_precision,
+            most_fruit=self.most_fruit,
+            input_sizes=self.input_sizes,
         )
         if isinstance(chosen, str):
             self._note(chosen, network.task, self.registry.hashes(chosen)["network"], network)
@@ -383,7 +377,7 @@ class NetworkLoader:
         ModelError
             If the file is missing, or not a YOLO pose network.
         """
-        pose = self.yolo(path, self._pose_confidence)
+        pose = self.yolo(path, pose_floor(self.confidence))
         if pose.task != "pose":
             raise ModelError(
                 f"it is a {pose.task} network and gives no keypoints",
@@ -427,56 +421,45 @@ class NetworkLoader:
             )
         by_look = looks and file is None and pose is None and self.registry.looks_closely
         votes_by_pose = file is None and pose_model is not None and not (by_look or quick)
-        least_confidence = detector_floor(self._confidence, votes=votes_by_pose or pose is not None)
+        least_confidence = detector_floor(self.confidence, votes=votes_by_pose or pose is not None)
         chosen = segment_model.name if file is None and segment_model is not None else file or ""
         detector = self.yolo(chosen, least_confidence)
         if pose is None and votes_by_pose and pose_model is not None:
-            pose = self.yolo(pose_model.name, self._pose_confidence)
+            pose = self.yolo(pose_model.name, pose_floor(self.confidence))
         elif pose is not None and not isinstance(pose, YoloDetector):
             pose = self.pose(pose)
         fruit = self.fruit_looker() if by_look else None
-        return Detectors(detector, pose, self._confidence, fruit=fruit, quick=quick)
+        return Detectors(detector, pose, self.confidence, fruit, quick)
 
-    def fruit_looker(self) -> FruitLooker | None:
-        """Return the registry's network that looks at each fruit, loaded once; None without one.
+    def _small_network(self, task: str, kind: Callable[[Path, str], Small]) -> Small | None:
+        """Return the registry's small network for a task; None without one.
 
         Raises
         ------
         ModelError, ModelHashError
             If a file is missing or damaged, or another kind of network.
         """
-        return self._small_network("fruit", FruitLooker)
-
-    def _small_network(self, task: str, kind: Callable[[Path, str], Small]) -> Small | None:
-        """Return the registry's small network for a task, loaded once; None without one."""
         model = self.registry.default(task)
-        if model is not None and task not in self._small:
-            path = self.verify(model.name)["network"]
-            self._small[task] = kind(path, self._runtime)
-            sha256 = self.registry.hashes(model.name)["network"]
-            self._note(model.name, task, sha256, self._small[task])
-        return self._small.get(task)
+        if model is None:
+            return None
+        network = kind(self.verify(model.name)["network"], self.runtime)
+        self._note(model.name, task, model.files[0].sha256, network)
+        return network
 
-    def segmenter(self, name: str | None = None) -> NetworkSegmenter:
-        """Return a segmenter of the registry, or the default one, loaded once.
+    def _segmenter(self, name: str | None = None) -> NetworkSegmenter:
+        """Return a segmenter of the registry, or the default one.
 
         Raises
         ------
         ModelError, ModelHashError
             If it is not on this machine, or a file is missing or damaged.
         """
-        if name not in self._segmenters:
-            segmenter = open_segmenter(
-                name,
-                runtime=self._runtime,
-                prompt=self._prompt,
-                full_precision=self._full_precision,
-                registry=self.registry,
-            )
-            model = self.registry.segmenter(name)
-            self._note(model.name, model.task, self.registry.hashes(model.name), segmenter)
-            self._segmenters[name] = segmenter
-        return self._segmenters[name]
+        how = {"runtime": self.runtime, "prompt": self.prompt}
+        full, registry = self.full_precision, self.registry
+        segmenter = open_segmenter(name, **how, full_precision=full, registry=registry)
+        model = registry.segmenter(name)
+        self._note(model.name, model.task, registry.hashes(model.name), segmenter)
+        return segmenter
 
     def _note(self, name: str, task: str, sha256: Any, network: Any) -> None:
         entry = {"name": name, "task": task, "sha256": sha256, "runtime": network.runtime}

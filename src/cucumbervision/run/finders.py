@@ -165,13 +165,14 @@ def make_finder(
         If a detector or segmenter of another package cannot be loaded.
     """
     from cucumbervision.networks.find import NetworkLoader
+    from cucumbervision.networks.registry import load_registry
 
     plug_ins = plug_ins or PlugIns()
     detector = _plugged("detectors", options.instances, plug_ins.detector)
     painter = _plugged("segmenters", options.segmenter, plug_ins.segmenter)
 
     networks = NetworkLoader(
-        registry,
+        registry or load_registry(),
         runtime=options.runtime,
         confidence=options.confidence,
         prompt=options.prompt,

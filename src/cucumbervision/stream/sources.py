@@ -105,17 +105,15 @@ def newest_first(items: Iterable[T]) -> Iterator[Arrival[T]]:
         changed.set()
 
     _in_thread("frames", items, take, end)
-    before = -1
+    before, is_last = -1, False
     try:
-        while changed.wait():
+        while not is_last and changed.wait():
             changed.clear()
             is_last = bool(ended)
             if inbox:
                 number, arrival = inbox.pop()
                 yield replace(arrival, dropped=number - before - 1)
                 before = number
-            if is_last:
-                break
     finally:
         left.set()
     if ended[0] is not None:

@@ -406,7 +406,7 @@ def detect_picture(
         seconds[name] = time.perf_counter() - start
         return detections
 
-    looks = networks.fruit and PictureLooks(networks.fruit, color, depth_m, focal_px)
+    looks = PictureLooks(networks.fruit, color, depth_m, focal_px) if networks.fruit else None
     segmented, posed = detect("segment", networks.segment), detect("pose", networks.pose)
     instances = merge_detections(
         segmented if networks.segment else None,

@@ -9,7 +9,6 @@ import pytest
 
 from cucumbervision.capture.pictures import write_png
 from cucumbervision.capture.readers import ReadOptions, open_source
-from cucumbervision.capture.readers.native import write_native
 from cucumbervision.errors import CaptureError, DepthError, IntrinsicsError
 
 K = [60.5, 0, 31.5, 0, 60.25, 24.5, 0, 0, 1]
@@ -166,16 +165,3 @@ def test_depth_stream_matrix_on_carrot_frames_is_refused(data: Path, tmp_path: P
         # 927.17 / 640 - 1 = 0.449
         with pytest.raises(IntrinsicsError, match=r"depth\.json: .*\+45 %"):
             ref.load()
-
-
-@pytest.mark.realdata
-def test_real_frames_survive_the_writer(data: Path, tmp_path: Path) -> None:
-    for ref in open_source(data / "rgbd/ycb_realsense_640"):
-        capture = ref.load()
-        write_native(capture, tmp_path / capture.name)
-        (again,) = open_source(tmp_path / capture.name)
-        read = again.load()
-        np.testing.assert_array_equal(read.color, capture.color)
-        np.testing.assert_array_equal(read.depth_m, capture.depth_m)
-        np.testing.assert_array_equal(read.masks, capture.masks)
-        assert read.intrinsics == capture.intrinsics

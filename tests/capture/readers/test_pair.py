@@ -131,13 +131,6 @@ def test_a_folder_pairs_by_name(tmp_path: Path, intrinsics: Path) -> None:
         refs["depth_9"].load()
 
 
-def test_intrinsics_beside_the_pictures(tmp_path: Path) -> None:
-    write_png(tmp_path / "color.png", COLOR)
-    write_png(tmp_path / "depth.png", DEPTH_MM)
-    (tmp_path / "intrinsics.json").write_text(json.dumps(CAMERA | {"depth_unit_m": 0.002}))
-    assert np.unique(load(tmp_path).depth_m).tolist() == [np.float32(0.9)]
-
-
 def test_depth_that_is_not_aligned_yet(tmp_path: Path) -> None:
     write_png(tmp_path / "color.png", COLOR)
     depth = np.zeros((24, 32), np.uint16)
@@ -222,9 +215,3 @@ def test_depth_as_a_table(text: str, step: float, tmp_path: Path) -> None:
     (tmp_path / "d.csv").write_text("1,2\n3\n")
     with pytest.raises(DepthError, match=r"d\.csv: .*"):
         read_depth(tmp_path / "d.csv")
-
-
-def test_depth_as_pgm(tmp_path: Path, intrinsics: Path) -> None:
-    cv2.imwrite(str(tmp_path / "rgb_1.ppm"), COLOR)
-    cv2.imwrite(str(tmp_path / "depth_1.pgm"), DEPTH_MM)
-    assert load(tmp_path, intrinsics=intrinsics).depth_m[0, 0] == np.float32(0.45)

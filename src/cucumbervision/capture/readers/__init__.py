@@ -75,20 +75,7 @@ def open_source(
     """
     path = as_path(path)
     options = options or ReadOptions()
-    source = with_retries(path, lambda: _open_or_error(path, options, readers))
-    if isinstance(source, CaptureError):
-        raise source
-    return source
-
-
-def _open_or_error(
-    path: Path, options: ReadOptions, readers: Sequence[Reader]
-) -> CaptureSource | CaptureError:
-    # Errors of readers are returned, not raised, so that they are not retried.
-    try:
-        return _open(path, options, readers)
-    except CaptureError as error:
-        return error
+    return with_retries(path, lambda: _open(path, options, readers))
 
 
 def _open(path: Path, options: ReadOptions, readers: Sequence[Reader]) -> CaptureSource:
@@ -96,11 +83,8 @@ def _open(path: Path, options: ReadOptions, readers: Sequence[Reader]) -> Captur
         raise CaptureError("does not exist", source=path, remedy="check the path")
     if path.is_file() and path.suffix.lower() in RECORDING_SUFFIXES:
         if is_remote(path):
-            raise CaptureError(
-                "a recording is played from a file of this machine alone",
-                source=path,
-                remedy="copy it here",
-            )
+            fault = "a recording is played from a file of this machine alone"
+            raise CaptureError(fault, source=path, remedy="copy it here")
         return open_recording(path, options)
     if path.name == MANIFEST and path.is_file():
         path = path.parent
@@ -110,9 +94,8 @@ def _open(path: Path, options: ReadOptions, readers: Sequence[Reader]) -> Captur
     if path.is_file() and (path.suffix or not is_remote(path)):
         return open_pair_file(path, options)
     if not is_remote(path) and not path.is_dir():
-        raise CaptureError(
-            "is neither a file nor a folder", source=path, remedy="name a file or a folder"
-        )
+        fault, remedy = "is neither a file nor a folder", "name a file or a folder"
+        raise CaptureError(fault, source=path, remedy=remedy)
     folder = list_folder(path)
     kinds = folder.kinds()
     openers = find_captures(folder, readers)
@@ -124,12 +107,8 @@ def _open(path: Path, options: ReadOptions, readers: Sequence[Reader]) -> Captur
     if arrays and not openers:
         folder.faults.append(_no_longer_read(f"{len(arrays)} .npz files", path))
     if not openers and not folder.faults:
-        raise CaptureError(
-            "holds no captures that can be recognised, but {kinds}",
-            source=path,
-            remedy=_REMEDY,
-            kinds=kinds,
-        )
+        fault = "holds no captures that can be recognised, but {kinds}"
+        raise CaptureError(fault, source=path, remedy=_REMEDY, kinds=kinds)
     camera = read_camera_file(options.intrinsics) if options.intrinsics else None
     parts: list[CaptureEntry] = []
     faults = folder.faults

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from cucumbervision.capture.camera_file import CameraFile, Extrinsics
+    from cucumbervision.capture.camera_file import CameraFile
     from cucumbervision.capture.source import Folder, ReadOptions
 
 _OWN_NAME = "intrinsics.json"
@@ -75,14 +75,12 @@ def choose_intrinsics(
         if not camera_file.is_sized:
             middle = camera.cx_px / width, camera.cy_px / height
             if not all(_MIDDLE <= part <= 1 - _MIDDLE for part in middle):
+                fault = "does not say its size, and {cx:g}, {cy:g} px is not near the middle of a "
                 raise IntrinsicsError(
-                    "does not say its size, and {cx:g}, {cy:g} px is not near the middle of a "
-                    "picture of {size}",
+                    fault + "picture of {size}",
                     source=camera_file.path,
                     remedy="give the intrinsics of this size of picture",
-                    cx=camera.cx_px,
-                    cy=camera.cy_px,
-                    size=f"{width}x{height}",
+                    **{"cx": camera.cx_px, "cy": camera.cy_px, "size": f"{width}x{height}"},
                 )
             camera = replace(camera, width=width, height=height)
         return check_intrinsics(
@@ -193,12 +191,26 @@ def frame_capture(
     depth_m = depth_to_metres(read_raw(), options.depth_unit_m, source=depth_source)
     camera = (camera_file.depth if camera_file else None) or depth_camera
     doubts: tuple[Doubt, ...] = ()
-    if aligned_to is None and camera_file and camera and camera_file.depth_to_color:
-        _require_camera_size(depth_m, camera, source=depth_source)
+    moved = camera_file.depth_to_color if camera_file and aligned_to is None else None
+    if camera and moved:
+        if depth_m.shape != camera.size[::-1]:
+            fault = f"depth is {depth_m.shape[1]}x{depth_m.shape[0]}, the depth camera's intrinsics"
+            fault = f"{fault} are for {camera.width}x{camera.height}"
+            remedy = "give the depth camera's intrinsics at that size"
+            raise CaptureError(fault, source=depth_source, remedy=remedy)
         depth_m = depth_along_axis(depth_m, camera) if along is DepthAlong.RAY else depth_m
-        depth_m = _aligned(
-            depth_m, camera, intrinsics, camera_file.depth_to_color, source=depth_source
-        )
+        remedy = "correct lens and 'depth_to_color' in the camera file"
+        with wrap_reader_errors(depth_source, IntrinsicsError, remedy):
+            depth_m = align_depth_to_color(
+                depth_m,
+                camera.matrix,
+                intrinsics.matrix,
+                intrinsics.size,
+                moved.rotation,
+                moved.translation_m,
+                depth_lens=(camera.distortion, camera.coefficients),
+                color_lens=(intrinsics.distortion, intrinsics.coefficients),
+            )
     else:
         if aligned_to is Stream.COLOR and _is_same_view(depth_m, width, height):
             depth_m, doubts = enlarge_depth(depth_m, width, height), (Doubt.DEPTH_RESAMPLED,)
@@ -212,39 +224,6 @@ def _is_same_view(depth_m: NDArray[np.float32], width: int, height: int) -> bool
     """Return whether depth has fewer pixels than colour, in the same proportion both ways."""
     across, down = width / depth_m.shape[1], height / depth_m.shape[0]
     return bool(across > 1 and abs(across / down - 1) <= _SAME_VIEW)
-
-
-def _require_camera_size(depth_m: NDArray[np.float32], camera: Intrinsics, *, source: Path) -> None:
-    if depth_m.shape != (camera.height, camera.width):
-        raise CaptureError(
-            f"depth is {depth_m.shape[1]}x{depth_m.shape[0]}, the depth camera's intrinsics are "
-            f"for {camera.width}x{camera.height}",
-            source=source,
-            remedy="give the depth camera's intrinsics at that size",
-        )
-
-
-def _aligned(
-    depth_m: NDArray[np.float32],
-    camera: Intrinsics,
-    intrinsics: Intrinsics,
-    moved: Extrinsics,
-    *,
-    source: Path,
-) -> NDArray[np.float32]:
-    with wrap_reader_errors(
-        source, IntrinsicsError, "correct lens and 'depth_to_color' in the camera file"
-    ):
-        return align_depth_to_color(
-            depth_m,
-            camera.matrix,
-            intrinsics.matrix,
-            intrinsics.size,
-            moved.rotation,
-            moved.translation_m,
-            depth_lens=(camera.distortion, camera.coefficients),
-            color_lens=(intrinsics.distortion, intrinsics.coefficients),
-        )
 
 
 class CameraFinder:

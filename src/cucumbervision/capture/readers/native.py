@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path, PureWindowsPath
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -106,70 +106,73 @@ def _open_folders(
         except CaptureError as error:
             yield name, 0, partial(fail, error), source, None
         else:
-            load = partial(_load, folder, manifest, camera_file, options)
-            files = partial(_files, folder, manifest, camera_file)
-            yield manifest.name or name, manifest.frame, load, source, files
+            files = _Files(folder, manifest, options, camera_file)
+            yield manifest.name or name, manifest.frame, files.load, source, files.parts
 
 
-def _files(folder: Path, manifest: Manifest, camera_file: CameraFile | None) -> list[Path]:
-    pictures = [folder / name for frame in manifest.frames for name in (frame.color, frame.depth)]
-    camera_files = [] if camera_file is None else [camera_file.path]
-    return [folder / MANIFEST, *pictures, *sorted((folder / MASKS).glob("*.png")), *camera_files]
+@dataclass(frozen=True)
+class _Files:
+    """Files of one native capture."""
 
+    folder: Path
+    manifest: Manifest
+    options: ReadOptions
+    camera_file: CameraFile | None
 
-def _load(
-    folder: Path,
-    manifest: Manifest,
-    camera_file: CameraFile | None,
-    options: ReadOptions,
-    name: str,
-) -> Capture:
-    unit_m = options.depth_unit_m or manifest.depth_unit_m
-    options = options.with_camera(camera_file)
-    frames, pixels = [], 0
-    for frame in manifest.frames:
-        frames.append(_read_frame(folder, frame, unit_m))
-        pixels += frames[-1][1].size
-        if pixels > MOST_BURST_PIXELS:
-            raise CaptureError(
-                f"its frames have more than {MOST_BURST_PIXELS / 1e6:g} million pixels together",
-                source=folder / MANIFEST,
-                remedy="give shorter bursts",
-            )
-    if len(frames) == 1:
-        # Depth of a single frame is not fused, so that reading returns what was written.
-        fused = FusedBurst(*frames[0], manifest.burst_frame, manifest.burst_size)
-    else:
-        with as_errors_of(folder):
-            fused = fuse_burst([c for c, _ in frames], [d for _, d in frames])
-    height, width = fused.depth_m.shape
-    with as_errors_of(folder / MANIFEST):
-        frame_intrinsics = manifest.camera.intrinsics
-    intrinsics = choose_intrinsics(
-        frame_intrinsics,
-        camera_file,
-        width,
-        height,
-        aligned_to=options.aligned_to,
-        source=folder / MANIFEST,
-    )
-    if options.depth_along is DepthAlong.RAY:
-        fused = replace(fused, depth_m=depth_along_axis(fused.depth_m, intrinsics))
-    require_readings(fused.depth_m, source=folder)
-    frame_entry = manifest.frames[fused.burst_frame if len(frames) > 1 else 0]
-    return Capture(
-        **vars(fused),
-        intrinsics=intrinsics,
-        name=name,
-        frame=manifest.frame,
-        masks=read_masks(_masks(folder, manifest.frame), fused.color.shape),
-        stop=Stop(**manifest.stop.model_dump()),
-        timestamp_s=frame_entry.timestamp_s,
-        simulated=manifest.simulated,
-        source=str(folder),
-        provenance=manifest.provenance,
-        gravity=manifest.gravity,
-    )
+    def parts(self) -> list[Path | bytes]:
+        """Return its files."""
+        names = [name for frame in self.manifest.frames for name in (frame.color, frame.depth)]
+        camera_files = [] if self.camera_file is None else [self.camera_file.path]
+        masks = sorted((self.folder / MASKS).glob("*.png"))
+        return [*(self.folder / name for name in (MANIFEST, *names)), *masks, *camera_files]
+
+    def load(self, name: str) -> Capture:
+        """Read the capture."""
+        folder, manifest, options = self.folder, self.manifest, self.options
+        unit_m = options.depth_unit_m or manifest.depth_unit_m
+        options = options.with_camera(self.camera_file)
+        frames, pixels = [], 0
+        for frame in manifest.frames:
+            frames.append(_read_frame(folder, frame, unit_m))
+            pixels += frames[-1][1].size
+            if pixels > MOST_BURST_PIXELS:
+                most = f"{MOST_BURST_PIXELS / 1e6:g} million pixels"
+                fault, remedy = f"its frames have more than {most} together", "give shorter bursts"
+                raise CaptureError(fault, source=folder / MANIFEST, remedy=remedy)
+        if len(frames) == 1:
+            # Depth of a single frame is not fused, so that reading returns what was written.
+            fused = FusedBurst(*frames[0], manifest.burst_frame, manifest.burst_size)
+        else:
+            with as_errors_of(folder):
+                fused = fuse_burst([c for c, _ in frames], [d for _, d in frames])
+        height, width = fused.depth_m.shape
+        with as_errors_of(folder / MANIFEST):
+            frame_intrinsics = manifest.camera.intrinsics
+        intrinsics = choose_intrinsics(
+            frame_intrinsics,
+            self.camera_file,
+            width,
+            height,
+            aligned_to=options.aligned_to,
+            source=folder / MANIFEST,
+        )
+        if options.depth_along is DepthAlong.RAY:
+            fused = replace(fused, depth_m=depth_along_axis(fused.depth_m, intrinsics))
+        require_readings(fused.depth_m, source=folder)
+        frame_entry = manifest.frames[fused.burst_frame if len(frames) > 1 else 0]
+        return Capture(
+            **vars(fused),
+            intrinsics=intrinsics,
+            name=name,
+            frame=manifest.frame,
+            masks=read_masks(_masks(folder, manifest.frame), fused.color.shape),
+            stop=Stop(**manifest.stop.model_dump()),
+            timestamp_s=frame_entry.timestamp_s,
+            simulated=manifest.simulated,
+            source=str(folder),
+            provenance=manifest.provenance,
+            gravity=manifest.gravity,
+        )
 
 
 def _read_frame(
@@ -186,11 +189,9 @@ def _masks(folder: Path, frame: int) -> list[Path]:
     for path in paths:
         number = path.stem.split("_")[0]
         if not number.isdecimal() or int(number) != frame:
-            raise CaptureError(
-                f"the mask is named for frame {number}, the capture is frame {frame}",
-                source=path,
-                remedy=f"name it {frame:06d}_000000.png, or set 'frame' in {MANIFEST}",
-            )
+            fault = f"the mask is named for frame {number}, the capture is frame {frame}"
+            remedy = f"name it {frame:06d}_000000.png, or set 'frame' in {MANIFEST}"
+            raise CaptureError(fault, source=path, remedy=remedy)
     return paths
 
 

@@ -3,7 +3,6 @@ from __future__ import annotations
 import io
 import json
 import struct
-import zipfile
 from collections.abc import Callable
 from pathlib import Path, PureWindowsPath
 
@@ -235,13 +234,6 @@ def test_members_of_one_name_are_refused(tmp_path: Path, depth_png: bytes) -> No
     assert "File exists" in faults(got)["a.zip: depth_1.png"]
 
 
-def test_links_in_zips_are_refused(tmp_path: Path) -> None:
-    link = zipfile.ZipInfo("depth_1.png")
-    link.create_system, link.external_attr = 3, 0o120777 << 16
-    got = send(tmp_path, a__zip=zip_of((link, b"/etc/passwd")))
-    assert "is a link or a device" in faults(got)["a.zip"]
-
-
 def test_bombs_are_refused_by_size(tmp_path: Path) -> None:
     bomb = zip_of(*((f"depth_{k}.png", bytes(3_000_000)) for k in (1, 2)))
     for limits in (Limits(unpacked_bytes=4_000_000), Limits(file_bytes=2_000_000)):
@@ -288,4 +280,4 @@ def test_a_locked_zip_says_so(tmp_path: Path) -> None:
     data = bytearray(zip_of(("depth_1.png", b"x"), packed=False))
     for mark, offset in ((b"PK\x01\x02", 8), (b"PK\x03\x04", 6)):
         data[data.find(mark) + offset] |= 1
-    assert "locked" in faults(send(tmp_path, a__zip=bytes(data)))["a.zip"]
+    assert "encrypted" in faults(send(tmp_path, a__zip=bytes(data)))["a.zip"]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 import shutil
-import stat
 import unicodedata
 import uuid
 import zipfile
@@ -48,7 +47,6 @@ _FORBIDDEN = re.compile(r'[<>:"|?*]')  # in names on Windows; a part after ':' w
 # Longest name of a file; largest entry of a zip's directory, with extra fields.
 _MOST_BYTES, _ENTRY_BYTES = 240, 600
 _ZIP = (b"PK\x03\x04", b"PK\x05\x06")
-_PLAIN = frozenset({zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED})
 _GB = 1_000_000_000
 
 
@@ -355,22 +353,13 @@ class _Intake:
     def _members(
         self, archive: zipfile.ZipFile, title: str
     ) -> list[tuple[zipfile.ZipInfo, PurePosixPath]]:
-        """Return a zip's files without clutter, after checking all of them."""
+        """Return a zip's files with their paths inside it, after checking all of them."""
         files = (member for member in archive.infolist() if not member.is_dir())
         members = [(member, _member_path(member.filename, title)) for member in files]
         self._members_left -= len(members)
         if self._members_left < 0:
             fault, most = "holds more than {files} files", self.limits.members
             raise UploadError(fault, source=title, remedy=_SMALLER, files=most)
-        for member, name in members:
-            if stat.S_IFMT(member.external_attr >> 16) not in {0, stat.S_IFREG}:
-                fault, remedy = "its member {name!r} is a link or a device", "pack plain files"
-            elif member.flag_bits & 0x1 or member.compress_type not in _PLAIN:
-                fault = "its member {name!r} is locked or packed in an unusual way"
-                remedy = "pack it without a password, as a plain zip"
-            else:
-                continue
-            raise UploadError(fault, source=title, remedy=remedy, name=name.name)
         return members
 
 

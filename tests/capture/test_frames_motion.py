@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,8 +10,6 @@ from numpy.typing import NDArray
 from cucumbervision.capture.camera import depth_quality
 from cucumbervision.capture.frames import Capture, FusedBurst, fuse_burst, moved_px
 from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision.capture.readers import open_source
-from cucumbervision.capture.readers.native import write_native
 from cucumbervision.fruit.instance import Instance
 from cucumbervision.fruit.masks import box_of_mask
 from cucumbervision.methods.selector import measure_fruit
@@ -109,14 +106,3 @@ def test_a_brighter_frame_has_not_moved() -> None:
     color = seen_from(0.0, 0).color
     brighter = np.clip(1.25 * color, 0, 255).astype(np.uint8)
     assert moved_px(color, [brighter]) == [pytest.approx(0.0, abs=0.5)]
-
-
-def test_a_burst_on_disk_is_fused_in_the_same_way(tmp_path: Path) -> None:
-    frames, fused = burst(0.36, 30.0)
-    pictures = [(frame.color, frame.depth_m) for frame in frames]
-    capture = Capture(frames[0].color, frames[0].depth_m, CAMERA, "walk")
-    write_native(capture, tmp_path / "walk", burst=pictures)
-    [ref] = open_source(tmp_path)
-    read = ref.load()
-    assert (read.burst_frame, read.burst_size) == (fused.burst_frame, 1)
-    np.testing.assert_allclose(read.depth_m, fused.depth_m, atol=1e-3)

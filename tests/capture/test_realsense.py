@@ -137,14 +137,6 @@ def test_what_is_no_recording_is_refused(tmp_path: Path, ending: str, content: b
         open_source(path)
 
 
-def test_truncated_recording_is_refused(recording: Path, tmp_path: Path) -> None:
-    path = tmp_path / "half.db3"
-    data = recording.read_bytes()
-    path.write_bytes(data[: len(data) // 2])
-    with pytest.raises(CaptureError, match=r"half\.db3: is not a recording"):
-        list(open_source(path))
-
-
 def test_damage_in_the_middle_keeps_what_came_before(
     make_recording: Callable[..., Path], tmp_path: Path
 ) -> None:

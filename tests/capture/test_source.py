@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cucumbervision.capture.frames import Capture
-from cucumbervision.capture.source import CaptureSource, Folder, fail, safe_name, unique_name
+from cucumbervision.capture.source import CaptureSource, Folder, fail, safe_name
 from cucumbervision.errors import CaptureError
 
 
@@ -59,9 +59,3 @@ def test_long_names_are_cut_between_letters() -> None:
     assert name[:62] == "黄" * 61 + "-"
     assert len(name) == 62 + 16
     assert safe_name("x" * 200) == "x" * 200
-
-
-def test_a_number_is_given_that_nothing_has() -> None:
-    taken = {"row", "row-2"}
-    assert unique_name("Row", taken) == "Row-3"
-    assert unique_name("row-3", taken) == "row-3-2"

@@ -71,12 +71,6 @@ def test_crooked_fruit_are_lowered(arc: float, shape: str, name: str, best: str)
         assert graded.rules[1].startswith("class I: centreline length 30.0 cm")
 
 
-def test_mass_is_volume_times_the_profiles_density() -> None:
-    graded = grade(SOUND, LONG)
-    assert graded.mass_g == pytest.approx(400)
-    assert graded.weight_class == "250 to 500 g"
-
-
 @pytest.mark.parametrize("flag", ["end-hidden", "depth-sparse", "interval-too-wide"])
 def test_where_the_size_is_not_known_no_mass_nor_class_of_it_is_given(flag: str) -> None:
     graded = grade(replace(SOUND, flags=flag), LONG)

@@ -88,14 +88,6 @@ def test_coco_keypoints(tmp_path: Path) -> None:
     assert fruit.keypoints[:, 2].tolist() == [0, 0.5, 1, 0, 0.5]
 
 
-def test_coco_results_by_file_name(tmp_path: Path) -> None:
-    path = tmp_path / "r.json"
-    results = [{"file_name": "a.png", "category_id": 0, "bbox": [1, 1, 2, 2], "score": 0.5}]
-    path.write_text(json.dumps(results), encoding="utf-8")
-    (fruit,) = get(path, "folder/a.png").instances
-    assert (fruit.confidence, fruit.class_name) == (0.5, "0")
-
-
 @pytest.mark.parametrize(
     "name",
     [

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
-from cucumbervision.fruit.masks import box_of_mask, distances_inside, mask_pixels, mask_window
+from cucumbervision.fruit.masks import distances_inside, mask_pixels, mask_window
 from cucumbervision.methods.flags import Flag
 from cucumbervision.tube.evidence import quick_median
 from cucumbervision.tube.shape import principal_axis
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+    Mask = NDArray[np.bool_]
+    Depth = NDArray[np.float32]
+    Places = NDArray[np.float64]
 
 LEAST_FILL = 0.5
 """Share of a fruit's pixels with depth below which its length is doubtful.
@@ -26,7 +29,9 @@ Nearer than its range a camera reads a few pixels of the rim, which are wrong.
 MIN_READINGS = 30
 """Number of readings without which depth says nothing."""
 
-_BODY_PX = 16.0  # of a radius: more pixels say no more
+_BODY_PX, _SCORE_PX = 10.0, 6.0  # of a radius: more pixels say no more, of a score less
+_AXIS_PIXELS = 2000  # more do not turn the axis
+_MARGIN_RADII = 2.5  # of the strip around the mask
 _NEAREST_M = 0.12  # minimum distance of common depth cameras (D405: 7 cm, D435: 17 cm)
 # Ranges of the middle and the flanks: distance from the outline relative to the largest. The flanks
 # of a tube lie 0.12 to 0.55 radii behind the middle, 0.26 in the median.
@@ -34,29 +39,31 @@ _MIDDLE_FROM, _FLANK_RANGE = 0.75, (0.15, 0.5)
 _HOLLOW_RADII = 0.08  # threshold in apparent radii: the middle lies behind the flanks by more
 # Stereo depth of thin fruit between leaves is hollow, too, but their surroundings are not nearer.
 _SURROUNDING_RADII = (0.3, 1.0)  # beyond the outline
-_NEARER_SHARE = 0.85  # of the readings there
+_CLEAR_SHARE = 0.85  # of the readings there
 _NOISE_SD = 4.0  # standard errors of both medians
+_FLAT_RADII = 0.04  # limit of the differences within a fruit whose depth is one value and noise
 # Size of a piece, relative to the mask, and of a part on one side of a waist. A line that joins
 # pieces is no part of them.
 _LEAST_PIECE, _LEAST_PART, _LINE_RADII = 0.01, 0.1, 0.12
 _WAIST_SHARE = 0.72  # of the largest radius: a narrower place between wider parts is a waist
-_WAIST_SIDE_SHARE = 0.1  # of a waist's gap, on the side with less of it
-_GAP_BEHIND = 1.0  # minimum distance of the gap behind the fruit, in diameters
-_LONGEST_GAP_RATIO = 2.5  # maximum length of the gap relative to its shortest length
+# How far a gap lies behind the surface at its ends, in radii, between pieces and beside a waist;
+# share of the readings across it; its least length in radii, and readings beside a waist
+_GAP_BEHIND, _NOTCH_BEHIND, _GAP_SHARE, _GAP_RADII, _GAP_READINGS = 1.2, 2.0, 0.8, 0.2, 6
 # In radii: the ring that defines the plane; the minimum height of a fruit above it (real ones 1.4
 # to 2.5 above a table); the roughness of planes (0.3 for printed paper, at least 0.4 for leaves).
 _PLANE_RING_RADII, _LEAST_HEIGHT_RADII, _ROUGHNESS_RADII, _PLANE_STEPS = (0.15, 1.2), 0.5, 0.3, 4
-_PLANE_READINGS = 2000  # more readings do not improve the plane
-_GAP_SHARE = 0.8  # share of the readings in the gap
 # Readings in the outline that lie so many radii behind the surface around them, and their share in
-# three quarters of the sections: 0.106 where outlines are 3 px too wide, up to 0.09 on drawn fruit
-# at the rim of far ones, 0.0 on real ones.
-_BEHIND_RADII, _BEHIND_SHARE, _BEHIND_SECTIONS = 4.0, 0.1, 12
+# three quarters of the sections, where outlines are 3 px too wide; distance from the plane around.
+_BEHIND_RADII, _IN_PLANE_RADII, _BESIDE_SHARE = 4.0, 0.3, 0.1
+_PARTS = 12  # sections along a fruit
 _ONE_VALUE_SHARE = 0.6  # real skin has one value on at most 0.23 of its pixels
-_STEM_WIDTH, _STEM_RADII = 0.35, 1.0  # of the largest width; length of such a narrow end
+# Width of a stem and of the shoulder half a radius behind it, relative to the fruit's; a tip tapers
+# slowly. Least length of a stem with such a shoulder, and of one without, in radii.
+_STEM_WIDTH, _SHOULDER_WIDTH, _STEM_RADII, _TAPER_RADII = 0.35, 0.86, 0.45, 1.0
 # Surface that goes on: in a ring of pixels (a camera's own blur makes 0.94), and beyond an end.
-_RING_PX, _RING_SHARE = (3, 7), 0.97
+_RING_PX, _RING_SHARE, _RING_RADII = (3, 7), 0.97, 1.3
 _BEYOND_RADII, _BEYOND_SHARE, _SURFACE_RADII, _SAME_COLOR = (0.2, 0.7), 0.75, 0.5, 45.0
+_BLUR_PX = np.array([5.0, 9.0])
 
 
 def depth_doubts(
@@ -103,25 +110,28 @@ def depth_doubts(
     >>> depth_doubts(rim, mask, 600.0)
     (<Flag.DEPTH_SPARSE: 'depth-sparse'>,)
     """
-    window = mask_window(mask)
-    if window is None:
+    if np.count_nonzero(mask) < 2:
         return ()
-    readings = depth_m[window][mask[window] & (depth_m[window] > 0)]
-    is_sparse = readings.size < LEAST_FILL * np.count_nonzero(mask[window])
+    body = _Body(depth_m, mask, focal_px)
+    readings = body.readings_m
+    is_sparse = readings.size < LEAST_FILL * np.count_nonzero(body.mask)
     if readings.size < MIN_READINGS:
         return (Flag.DEPTH_SPARSE,) if is_sparse else ()
-    body = _Body.of(depth_m, mask, float(quick_median(readings)), focal_px)
     is_too_near = body.distance_m < _NEAREST_M
+    is_elsewhere = (
+        _lies_in_plane(body) or _lies_behind(body) or _fits_better_elsewhere(depth_m, body)
+    )
     doubts = {
         Flag.DEPTH_TOO_NEAR: is_too_near,
         Flag.DEPTH_SPARSE: is_sparse,
         Flag.DEPTH_HOLLOW: _is_hollow(body),
         Flag.DEPTH_GAP: _has_gap(body),
-        Flag.DEPTH_UNALIGNED: _is_flat(body)
-        or _lies_behind(body)
-        or _fits_better_elsewhere(depth_m, body),
+        Flag.DEPTH_UNALIGNED: is_elsewhere,
         Flag.DEPTH_COARSE: not is_too_near
-        and has_coarse_steps(depth_m, readings, may_be_one=not is_sparse),
+        and (
+            has_coarse_steps(depth_m, readings, may_be_one=not is_sparse)
+            or (not is_elsewhere and _has_one_depth(body))
+        ),
     }
     # Wrong depth says nothing of an outline.
     doubts[Flag.OUTLINE_STEM] = not any(doubts.values()) and _has_stem(body)
@@ -131,93 +141,107 @@ def depth_doubts(
     return tuple(flag for flag, holds in doubts.items() if holds)
 
 
-@dataclass(frozen=True, eq=False)
 class _Body:
-    """A fruit in a window of the picture, of every `step`-th pixel; distances are in those pixels.
+    """A fruit that lies along the columns of a strip cut out of the picture.
 
-    `pixels` are those of the mask; `near_m` is the depth of what is nearest along the fruit, as a
-    line: its value at `centre`, and its slope along `axis`.
+    Its radius has about `_BODY_PX` pixels at most, and distances are in pixels of the strip, of
+    `scale` pixels of the picture each. `turn` leads from the strip to the picture; `off_m` is how
+    far readings lie behind `line`, NaN without one.
     """
 
-    depth_m: NDArray[np.float32]
-    mask: NDArray[np.bool_]
-    read: NDArray[np.bool_]
-    inside_px: NDArray[np.float32]
-    outside_px: NDArray[np.float32]
-    pixels: NDArray[np.float64]
-    centre: NDArray[np.float64]
-    axis: NDArray[np.float64]
-    radius_px: float
-    radius_m: float
-    distance_m: float
-    part: tuple[slice, slice]
-    step: int
+    def __init__(self, depth_m: Depth, mask: Mask, focal_px: float) -> None:
+        self.turn, size = _strip(mask)
+        self.mask = _warped(mask.view(np.uint8), self.turn, size) > 0
+        self.depth_m: Depth = _warped(depth_m, self.turn, size)
+        self.read = valid_depth(self.depth_m)
+        self.readings_m = self.depth_m[self.mask & (self.depth_m > 0)]
+        self.distance_m = float(quick_median(self.readings_m)) if len(self.readings_m) else np.nan
+        self.scale = float(np.hypot(*self.turn[:, 0]))
+        # The outline is nearer than the first pixel of the strip beyond it.
+        nearer_px = np.float32(0.5 - 0.5 / self.scale)
+        self.inside_px = distances_inside(self.mask) - nearer_px
+        self.outside_px = distances_inside(~self.mask) - nearer_px
+        self.radius_px = float(self.inside_px.max())
+        self.radius_m = self.radius_px * self.scale * self.distance_m / focal_px
+        columns = np.flatnonzero(self.mask.any(axis=0))
+        self.ends = (int(columns[0]), int(columns[-1])) if len(columns) else (0, 0)
+        self.line = self.near_line(self.depth_m, self.read)
+        start_m, slope = self.line or (np.nan, 0.0)
+        self.off_m = self.depth_m - start_m - slope * np.arange(size[0])
 
-    @classmethod
-    def of(
-        cls,
-        depth_m: NDArray[np.float32],
-        mask: NDArray[np.bool_],
-        distance_m: float,
-        focal_px: float,
-    ) -> _Body:
-        x1, y1, x2, y2 = box_of_mask(mask)
-        part = mask_window(mask, int(min(x2 - x1, y2 - y1)) + 7) or (slice(None), slice(None))
-        about_px = np.count_nonzero(mask[part]) / (2 * np.hypot(x2 - x1, y2 - y1))
-        step = max(1, int(about_px / _BODY_PX))
-        depth_m, mask = depth_m[part][::step, ::step], mask[part][::step, ::step]
-        # The outline is nearer than the first pixel beyond it that is left.
-        nearer_px = np.float32(0.5 - 0.5 / step)
-        inside_px = distances_inside(np.pad(mask, 1))[1:-1, 1:-1] - nearer_px
-        outside_px = distances_inside(~mask) - nearer_px
-        radius_px, pixels = float(inside_px.max()), mask_pixels(mask)
-        radius_m = radius_px * step * distance_m / focal_px
-        arrays = depth_m, mask, valid_depth(depth_m), inside_px, outside_px, pixels
-        sizes = radius_px, radius_m, distance_m, part, step
-        return cls(*(*arrays, *principal_axis(pixels), *sizes))
+    def sections(self, count: int) -> list[slice]:
+        """Return equal ranges of columns along the mask."""
+        bounds = np.linspace(self.ends[0], self.ends[1] + 1, count + 1).astype(int)
+        return [slice(a, b) for a, b in pairwise(bounds)]
 
-    @cached_property
-    def line(self) -> tuple[float, float] | None:
-        """Its own `near_line`."""
-        return self.near_line(self.depth_m, self.read)
+    def has_all_along(self, beside: Mask) -> bool:
+        """Return whether a share of the mask, nearly all along, is beside the fruit's skin."""
+        read = self.mask & self.read
+        shares = [
+            np.count_nonzero((beside & read)[:, part]) / max(np.count_nonzero(read[:, part]), 1)
+            for part in self.sections(_PARTS)
+        ]
+        return float(np.quantile(shares, 0.25)) >= _BESIDE_SHARE
 
-    def near_line(
-        self, depth_m: NDArray[np.float32], read: NDArray[np.bool_]
-    ) -> tuple[float, float] | None:
-        """Return the depth of what is nearest along the fruit: at its centre, and its slope.
+    def near_line(self, depth_m: Depth, read: Mask) -> tuple[float, float] | None:
+        """Return the depth of what is nearest along the fruit: at column 0, and its slope.
 
         A fruit that points at the camera is farther away at one end by more than its radius. None
         with too few readings.
         """
-        v, u = np.nonzero(read & (self.outside_px <= self.radius_px))
-        if len(v) < MIN_READINGS:
+        near = read & (self.outside_px <= self.radius_px)
+        if np.count_nonzero(near) < MIN_READINGS:
             return None
-        v, u = (rows[:: max(1, len(v) // _PLANE_READINGS)] for rows in (v, u))
-        places, readings_m = self.along[v, u], depth_m[v, u]
-        section = _sections(places, _SECTIONS)
         lines = [
-            (places[section == k].mean(), np.percentile(readings_m[section == k], _NEAREST_PERCENT))
-            for k in range(_SECTIONS)
-            if np.count_nonzero(section == k) >= MIN_READINGS
+            ((part.start + part.stop - 1) / 2, np.percentile(readings, _NEAREST_PERCENT))
+            for part in self.sections(_SECTIONS)
+            if len(readings := depth_m[:, part][near[:, part]]) >= MIN_READINGS // 2
         ]
         if len(lines) < 3:
-            return float(np.percentile(readings_m, _NEAREST_PERCENT)), 0.0
+            return float(np.percentile(depth_m[near], _NEAREST_PERCENT)), 0.0
         # Theil and Sen: what hides one section does not turn the line.
         t, near_m = np.array(lines).T
         i, j = np.triu_indices(len(t), 1)
         slope = float(np.median((near_m[j] - near_m[i]) / (t[j] - t[i])))
         return float(np.median(near_m - slope * t)), slope
 
-    @cached_property
-    def along(self) -> NDArray[np.float64]:
-        """The place of each pixel of the window along the axis, from the centre."""
-        v, u = np.ogrid[: self.mask.shape[0], : self.mask.shape[1]]
-        return np.asarray((u - self.centre[0]) * self.axis[0] + (v - self.centre[1]) * self.axis[1])
+    def pixels(self, places: Places) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Return rows and columns of the pixels at places (u, v), or nearest to them."""
+        height, width = self.mask.shape
+        u, v = np.clip(np.rint(places), 0, (width - 1, height - 1)).astype(np.intp).T
+        return v, u
 
-    def off_m(self, depth_m: NDArray[Any], along: NDArray[Any]) -> NDArray[np.float64]:
-        """Return how far readings lie behind the line of what is nearest; NaN without a line."""
-        start_m, slope = self.line or (np.nan, 0.0)
-        return np.asarray(depth_m - start_m - slope * along)
+    def surface_m(self, place: Places) -> float:
+        """Return the fruit's depth within a radius of a place; NaN without a reading."""
+        reach = round(self.radius_px)
+        u, v = place.astype(int)
+        near = slice(max(v - reach, 0), v + reach + 1), slice(max(u - reach, 0), u + reach + 1)
+        readings = self.depth_m[near][self.mask[near] & self.read[near]]
+        return float(quick_median(readings)) if len(readings) else np.nan
+
+
+def _strip(mask: Mask) -> tuple[Places, tuple[int, int]]:
+    """Return the strip along a mask of at least two pixels: its turn, its width and height."""
+    y, x = mask_window(mask) or (slice(0, 0), slice(0, 0))
+    step = max(1, int(np.sqrt(np.count_nonzero(mask[y, x]) / _AXIS_PIXELS)))
+    pixels = step * mask_pixels(mask[y, x][::step, ::step])
+    centre, (along, down) = principal_axis(pixels)
+    axes = np.array([[along, -down], [down, along]])
+    places = (pixels - centre) @ axes
+    low, high = places.min(axis=0), places.max(axis=0)
+    about_px = step * step * len(pixels) / (2 * (high[0] - low[0] + step))
+    scale, margin = max(1.0, about_px / _BODY_PX), _MARGIN_RADII * about_px + 3 + step
+    corner = centre + (x.start, y.start) + axes @ (low - margin)
+    width, height = np.ceil((high - low + 2 * margin) / scale).astype(int)
+    return np.column_stack([scale * axes, corner]), (int(width), int(height))
+
+
+def _warped(picture: NDArray[Any], turn: Places, size: tuple[int, int]) -> NDArray[Any]:
+    """Return a strip of a picture by the nearest pixels, 0 beyond the picture."""
+    import cv2
+
+    nearest = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
+    return np.asarray(cv2.warpAffine(picture, turn, size, flags=nearest))
 
 
 def _is_hollow(body: _Body) -> bool:
@@ -236,132 +260,124 @@ def _is_hollow(body: _Body) -> bool:
         body.read & (outside > _SURROUNDING_RADII[0]) & (outside < _SURROUNDING_RADII[1])
     ]
     nearer = around < body.distance_m
-    return around.size >= MIN_READINGS and float(nearer.mean()) >= _NEARER_SHARE
+    return around.size >= MIN_READINGS and float(nearer.mean()) >= _CLEAR_SHARE
 
 
-def _median_error(values: NDArray[np.float32]) -> float:
+def _median_error(values: Depth) -> float:
     """Return the standard error of a median, from the median absolute deviation."""
     return 1.2533 * _robust_sd(values) / float(np.sqrt(values.size))
 
 
 def _has_gap(body: _Body) -> bool:
-    """Return whether the depth between a mask's parts, along its axis, is clearly larger.
+    """Return whether what lies between a mask's parts is clearly farther away.
 
-    Parts are connected components, or sections on both sides of a waist (two fruit end to end).
+    Parts are connected components, or the wide parts beside a waist (two fruit end to end).
     """
-    width_px = 2.0 * body.radius_px
-    limit_m = body.distance_m + _GAP_BEHIND * 2.0 * body.radius_m
-
-    def is_behind(gap: NDArray[np.bool_]) -> bool:
-        depths_m = body.depth_m[gap & body.read]
-        return depths_m.size >= MIN_READINGS and float((depths_m > limit_m).mean()) >= _GAP_SHARE
-
     pieces = _parts(body.inside_px > _LINE_RADII * body.radius_px, _LEAST_PIECE)
-    if pieces is not None and is_behind(_between(pieces, width_px) & ~body.mask):
+    if any(_is_open(body, *_nearest(piece, rest)) for piece, rest in pieces):
         return True
     worn = _parts(body.inside_px >= _WAIST_SHARE * body.radius_px, _LEAST_PART)
-    if worn is None:
-        return False
-    gap = _between(_grown(worn, body.mask, width_px), width_px) & ~body.mask
-    return is_behind(gap) and _is_on_both_sides(gap, body)
+    return any(_is_notched(body, *_nearest(part, rest)) for part, rest in worn)
 
 
-def _is_on_both_sides(gap: NDArray[np.bool_], body: _Body) -> bool:
-    """Return whether a gap lies on both sides of a mask; a leaf or tendril notches one side."""
-    across = np.array([-body.axis[1], body.axis[0]])
-    of_mask, of_gap = body.pixels - body.centre, mask_pixels(gap) - body.centre
-    rows = np.rint(of_mask @ body.axis).astype(np.intp)
-    first, counts = rows.min(), np.bincount(rows - rows.min())
-    middle_px = np.bincount(rows - first, of_mask @ across) / np.maximum(counts, 1)
-    gap_rows = np.clip(np.rint(of_gap @ body.axis).astype(np.intp) - first, 0, len(counts) - 1)
-    share = float((of_gap @ across > middle_px[gap_rows]).mean())
-    return min(share, 1.0 - share) >= _WAIST_SIDE_SHARE
-
-
-def _parts(core: NDArray[np.bool_], least: float) -> NDArray[np.uint8] | None:
-    """Return a mask's large parts, numbered from 1, 0 elsewhere; None if there is only one."""
+def _parts(core: Mask, least: float) -> list[tuple[Mask, Mask]]:
+    """Return each large part of a mask, and all others; nothing if there is only one."""
     import cv2
 
     count, labels, stats, _ = cv2.connectedComponentsWithStats(core.astype(np.uint8))
     areas = stats[1:count, cv2.CC_STAT_AREA]
     large = 1 + np.flatnonzero(areas > least * areas.sum())
     if len(large) < 2:
-        return None
-    return np.where(np.isin(labels, large), labels, 0).astype(np.uint8)
+        return []
+    every = np.isin(labels, large)
+    return [(labels == part, every & (labels != part)) for part in large]
 
 
-def _grown(parts: NDArray[np.uint8], mask: NDArray[np.bool_], width_px: float) -> NDArray[np.uint8]:
-    """Return eroded parts, grown back to the outline."""
+def _nearest(part: Mask, rest: Mask) -> tuple[Places, Places]:
+    """Return the places (u, v) of a part and of the rest that are nearest to each other."""
+    places = [
+        np.unravel_index(np.where(at, distances_inside(~to), np.inf).argmin(), at.shape)[::-1]
+        for at, to in ((part, rest), (rest, part))
+    ]
+    return np.array(places[0], np.float64), np.array(places[1], np.float64)
+
+
+def _across(
+    body: _Body, first: Places, last: Places, offsets: Places, within: Mask | Literal[True] = True
+) -> tuple[Mask, Places]:
+    """Return what is read on lines beside that between two places, and how far it lies behind.
+
+    One row for each pixel of the line, and one column for each offset from it; of what is off the
+    mask.
+    """
+    way = last - first
+    length_px = max(float(np.hypot(*way)), 1.0)
+    share, aside = np.arange(1.0, length_px) / length_px, np.array([-way[1], way[0]]) / length_px
+    places = first + share[:, None, None] * way + offsets[None, :, None] * aside
+    v, u = (axis.T for axis in body.pixels(places))
+    read = (body.read & within & ~body.mask)[v, u]
+    surface_m = (1 - share) * body.surface_m(first) + share * body.surface_m(last)
+    behind_m = body.depth_m[v, u] - surface_m[:, None]
+    return read, np.where(read, behind_m / body.radius_m, 0.0)
+
+
+def _is_open(body: _Body, first: Places, last: Places) -> bool:
+    """Return whether the way between two pieces leads over something clearly farther away."""
+    read, behind = _across(body, first, last, np.linspace(-0.3, 0.3, 5) * body.radius_px)
+    counts = read.sum(axis=1)
+    steps = (counts > 0) & ((behind > _GAP_BEHIND).sum(axis=1) >= _GAP_SHARE * counts)
+    ends = np.flatnonzero(np.diff(np.concatenate([[0], steps, [0]])))
+    longest = max(ends[1::2] - ends[::2], default=0)
+    return bool(longest >= max(2.0, _GAP_RADII * body.radius_px))
+
+
+def _is_notched(body: _Body, first: Places, last: Places) -> bool:
+    """Return whether a waist has something clearly farther away on both sides.
+
+    A leaf or tendril notches one side.
+    """
     import cv2
 
-    reach_px = 2 * round(_WAIST_SHARE * width_px / 2) + 1
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach_px, reach_px))
-    return np.where(mask, cv2.dilate(parts, disc), 0).astype(np.uint8)
+    v, u = np.nonzero(body.mask)
+    near = np.hypot(u - (first[0] + last[0]) / 2, v - (first[1] + last[1]) / 2)
+    beside = np.stack([u, v], axis=1)[near < 2.0 * body.radius_px].astype(np.int32)
+    if not len(beside):
+        return False
+    hull = np.zeros(body.mask.shape, np.uint8)
+    cv2.fillConvexPoly(hull, cv2.convexHull(beside), 1)
+    sides = np.arange(1.0, 1.5 * body.radius_px)
+    for offsets in (sides, -sides):
+        read, behind = _across(body, first, last, offsets, hull > 0)
+        if read.sum() < max(
+            _GAP_READINGS, (behind <= _NOTCH_BEHIND)[read].sum() / (1 - _GAP_SHARE)
+        ):
+            return False
+    return True
 
 
-def _between(parts: NDArray[np.uint8], width_px: float) -> NDArray[np.bool_]:
-    """Return the pixels that lie between two parts along the axis of the parts."""
-    import cv2
-
-    points = mask_pixels(parts > 0)
-    centre, (x, y) = principal_axis(points)
-    reach = int(np.abs(points - centre).max() * 1.5) + 2
-    # Rotate so that the axis runs along the columns, and back.
-    turned = np.array([[y, -x, reach], [x, y, reach]], np.float64)
-    turned[:, 2] -= turned[:, :2] @ centre
-    size, nearest = (2 * reach, 2 * reach), cv2.INTER_NEAREST
-    upright = cv2.warpAffine(parts, turned, size, flags=nearest)
-    above, below = _last_row(upright), len(upright) - 1 - _last_row(upright[::-1])[::-1]
-    before = np.take_along_axis(upright, above, axis=0)
-    after = np.take_along_axis(upright, below, axis=0)
-    gap = (upright == 0) & (before > 0) & (after > 0) & (before != after)
-    # On the inner side of a bend, the path between the parts is long and outside the fruit.
-    long_px = below - above
-    shortest_px = long_px.min(where=gap, initial=len(upright))
-    gap &= long_px <= max(_LONGEST_GAP_RATIO * shortest_px, width_px)
-    # Depth at the edges is a mixture: one pixel of each part is omitted.
-    gap = cv2.erode(gap.astype(np.uint8), np.ones((3, 1), np.uint8))
-    height, width = parts.shape
-    gap_in_picture = cv2.warpAffine(
-        gap, turned, (width, height), flags=nearest | cv2.WARP_INVERSE_MAP
-    )
-    return np.asarray(gap_in_picture, bool)
-
-
-def _last_row(pieces: NDArray[Any]) -> NDArray[np.intp]:
-    """Return, for each pixel, the row of the nearest labelled pixel above it; 0 for none."""
-    rows = np.where(pieces > 0, np.arange(len(pieces))[:, None], 0)
-    return np.asarray(np.maximum.accumulate(rows), np.intp)
-
-
-def _is_flat(body: _Body) -> bool:
-    """Return whether a mask lies in the plane of its surroundings, so that it is no body."""
+def _lies_in_plane(body: _Body) -> bool:
+    """Return whether a mask lies in the plane around it, wholly or along its rim."""
     outside = body.outside_px / body.radius_px
     around = body.read & (outside > _PLANE_RING_RADII[0]) & (outside < _PLANE_RING_RADII[1])
     middle = body.read & (body.inside_px > 0.5 * body.radius_px)
     if min(np.count_nonzero(around), np.count_nonzero(middle)) < MIN_READINGS:
         return False
-    spacing = max(1, int(np.count_nonzero(around)) // _PLANE_READINGS)
-    places, z_m = _with_one(around, spacing), body.depth_m[around][::spacing]
+    v, u = np.indices(body.mask.shape)
+    grid = np.stack([u, v, np.ones(u.shape)], axis=-1)
+    places, z_m = grid[around], body.depth_m[around]
     fits = np.ones(len(z_m), bool)
     for _ in range(_PLANE_STEPS):
-        plane = np.linalg.lstsq(places[fits], z_m[fits], rcond=None)[0]
+        known = places[fits]
+        plane = np.linalg.solve(known.T @ known, known.T @ z_m[fits])
         gap_m = z_m - places @ plane
         around_sd_m = _robust_sd(gap_m[fits])
         fits = np.abs(gap_m - quick_median(gap_m[fits])) <= 3.0 * around_sd_m + 1e-4
-    ahead_m = body.depth_m[middle] - _with_one(middle) @ plane
-    spread_m = max(around_sd_m, _robust_sd(ahead_m))
-    stands_out_m = abs(float(quick_median(ahead_m)))
-    return (
-        stands_out_m < _LEAST_HEIGHT_RADII * body.radius_m
-        and spread_m < _ROUGHNESS_RADII * body.radius_m
-    )
-
-
-def _with_one(mask: NDArray[np.bool_], spacing: int = 1) -> NDArray[np.float64]:
-    """Return the homogeneous coordinates (u, v, 1) of every `spacing`-th pixel of a mask."""
-    v, u = (places[::spacing] for places in np.nonzero(mask))
-    return np.stack([u, v, np.ones(len(u))], axis=1).astype(np.float64)
+    ahead_m = np.abs(body.depth_m - grid @ plane)
+    if max(around_sd_m, _robust_sd(ahead_m[middle])) >= _ROUGHNESS_RADII * body.radius_m:
+        return False
+    if quick_median(ahead_m[middle]) < _LEAST_HEIGHT_RADII * body.radius_m:
+        return True
+    return body.has_all_along(ahead_m < _IN_PLANE_RADII * body.radius_m)
 
 
 def _robust_sd(values: NDArray[np.floating[Any]]) -> float:
@@ -372,107 +388,115 @@ def _lies_behind(body: _Body) -> bool:
     """Return whether a mask lies partly on what is far behind, nearly all along the fruit."""
     import cv2
 
-    read = body.mask & body.read
-    if np.count_nonzero(read) < MIN_READINGS:
+    if body.line is None:
         return False
-    surface_m = cv2.medianBlur(np.where(read, body.depth_m, np.float32(1e3)), 5)
+    read = body.mask & body.read
+    # A fruit that points at the camera is farther away at one end.
+    surface_m = cv2.medianBlur(np.where(read, body.off_m, 1e3).astype(np.float32), 3)
     side_px = 2 * round(body.radius_px) + 1
     near_m = np.asarray(cv2.erode(surface_m, np.ones((side_px, side_px), np.uint8)))
-    behind = (body.depth_m > near_m + _BEHIND_RADII * body.radius_m)[read]
-    section = _sections(body.along[read], _BEHIND_SECTIONS)
-    counts, counts_behind = np.bincount(section), np.bincount(section, behind)
-    return float(np.quantile(counts_behind / np.maximum(counts, 1), 0.25)) >= _BEHIND_SHARE
+    return body.has_all_along(body.off_m > near_m + _BEHIND_RADII * body.radius_m)
 
 
-def _sections(places: NDArray[np.float64], count: int) -> NDArray[np.intp]:
-    """Return for each place along a fruit in which of so many equal sections it lies."""
-    bounds = np.linspace(places.min(), places.max(), count + 1)[1:-1]
-    return np.asarray(np.searchsorted(bounds, places), np.intp)
+def _has_one_depth(body: _Body) -> bool:
+    """Return whether a fruit's depth is one value with noise, without slope or curvature."""
+    share = body.inside_px / body.radius_px
+    rim = body.read & (share >= _FLANK_RANGE[0]) & (share <= _FLANK_RANGE[1])
+    middle = body.read & (share > _FLANK_RANGE[1])
+    depths = [body.depth_m[:, part][middle[:, part]] for part in body.sections(_PARTS)]
+    medians_m = [quick_median(depth_m) for depth_m in depths if len(depth_m) >= MIN_READINGS // 2]
+    if len(medians_m) <= _PARTS // 2 or not rim.any():
+        return False
+    flank_m = abs(quick_median(body.depth_m[rim]) - quick_median(body.depth_m[middle]))
+    return float(max(np.std(medians_m), flank_m)) < _FLAT_RADII * body.radius_m
 
 
 def _has_stem(body: _Body) -> bool:
     """Return whether an end of a mask is much narrower than the fruit, before what is behind."""
-    along = body.along[body.mask]
-    rows = np.rint(along - along.min()).astype(np.intp)
-    wide = np.flatnonzero(np.bincount(rows) >= _STEM_WIDTH * 2.0 * body.radius_px)
+    first, last = body.ends
+    widths = body.mask.sum(axis=0) / (2.0 * body.radius_px)
+    wide = np.flatnonzero(widths >= _STEM_WIDTH)
+    if not len(wide):
+        return False
     # A leaf that hides most of the width is nearer than the fruit.
     beside = (body.outside_px > 1.0) & (body.outside_px < body.radius_px) & body.read
-    places = body.along[beside]
-    clear = body.off_m(body.depth_m[beside], places) > body.radius_m
-    for narrow in (along[rows < wide[0]], along[rows > wide[-1]]) if len(wide) else ():
-        if len(narrow) and np.ptp(narrow) >= _STEM_RADII * body.radius_px:
-            first, last = np.quantile(narrow, [0.1, 0.9])
-            clear_there = clear[(places > first) & (places < last)]
-            if len(clear_there) >= MIN_READINGS and clear_there.mean() >= _NEARER_SHARE:
-                return True
+    clear, half = body.off_m > body.radius_m, round(body.radius_px / 2)
+    for narrow, shoulder in (
+        (slice(first, wide[0]), min(wide[0] + half, last)),
+        (slice(wide[-1] + 1, last + 1), max(wide[-1] - half, first)),
+    ):
+        is_abrupt = widths[shoulder] >= _SHOULDER_WIDTH
+        least_px = (_STEM_RADII if is_abrupt else _TAPER_RADII) * body.radius_px
+        clear_there = clear[:, narrow][beside[:, narrow]]
+        is_long = narrow.stop - narrow.start >= least_px and len(clear_there) >= MIN_READINGS // 2
+        if is_long and clear_there.mean() >= _CLEAR_SHARE:
+            return True
     return False
 
 
-def _goes_on_around(depth_m: NDArray[np.float32], mask: NDArray[np.bool_], body: _Body) -> bool:
+def _goes_on_around(depth_m: Depth, mask: Mask, body: _Body) -> bool:
     """Return whether the fruit's surface goes on all round a mask that was drawn too narrow."""
     import cv2
 
-    window = mask_window(mask, _RING_PX[1]) or body.part
+    window = mask_window(mask, _RING_PX[1])
+    if window is None or body.line is None:
+        return False
     within, wider = (
         cv2.dilate(mask[window].view(np.uint8), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, size))
         for size in ((side_px, side_px) for side_px in _RING_PX)
     )
     v, u = np.nonzero((wider > within) & valid_depth(depth_m[window]))
-    corner = [window[1].start - body.part[1].start, window[0].start - body.part[0].start]
-    along = ((np.stack([u, v], axis=1) + corner) / body.step - body.centre) @ body.axis
-    same = np.abs(body.off_m(depth_m[window][v, u], along)) < body.radius_m
-    return bool(len(v) >= MIN_READINGS and same.mean() >= _RING_SHARE)
+    gap = np.stack([u + window[1].start, v + window[0].start], axis=1) - body.turn[:, 2]
+    columns = gap @ body.turn[:, 0] / body.scale**2
+    off_m = depth_m[window][v, u] - body.line[0] - body.line[1] * columns
+    return bool(
+        len(v) >= MIN_READINGS
+        and (np.abs(off_m) < _RING_RADII * body.radius_m).mean() >= _RING_SHARE
+    )
 
 
 def _goes_on(body: _Body, end: int, color: NDArray[np.uint8] | None) -> bool:
     """Return whether a surface as wide and of the same colour goes on beyond an end of a mask."""
-    pixels, radius = body.pixels, body.radius_px
-    along = end * (pixels - body.centre) @ body.axis
-    top = along.max()
-    tip, inner = along > top - 2 * radius, (along <= top - 2 * radius) & (along > top - 4 * radius)
-    if not inner.any():
+    radius, tip = body.radius_px, body.ends[0] if end < 0 else body.ends[1]
+    rows, columns = np.nonzero(body.mask)
+    forward = end * (columns - tip)  # up to 0
+    tail = forward > -4 * radius
+    slope, middle = np.polyfit(forward[tail], rows[tail], 1)
+    core = tail & (np.abs(rows - middle - slope * forward) < 0.3 * radius)
+    if not core.any():
         return False
-    middle = pixels[tip].mean(axis=0)
-    ahead = middle - pixels[inner].mean(axis=0)
-    ahead /= max(float(np.linalg.norm(ahead)), 1e-9)
-    aside = np.array([-ahead[1], ahead[0]])
-    forward, sideways = (pixels - middle) @ ahead, (pixels - middle) @ aside
-    core = np.abs(sideways) < 0.3 * radius
-    edge = forward[core].max(initial=-np.inf)
-    core &= (forward > edge - 3 * radius) & (forward < edge - 0.3 * radius)
-    u, v = pixels[core].astype(np.intp).T
+    edge = forward[core].max()
+    core &= (forward > edge - 2 * radius) & (forward < edge - 0.3 * radius)
+    v, u, forward = rows[core], columns[core], forward[core]
     read = body.read[v, u]
     if np.count_nonzero(read) < MIN_READINGS:
         return False
-    slope, start_m = np.polyfit(forward[core][read], body.depth_m[v, u][read], 1)
-    beyond, across = np.linspace(*_BEYOND_RADII, 5), np.linspace(-0.5, 0.5, 5)
-    steps, sides = (grid.ravel() * radius for grid in np.meshgrid(beyond, across))
-    steps += edge
-    places = middle + np.outer(steps, ahead) + np.outer(sides, aside)
-    x, y = np.rint(places).astype(np.intp).T
-    height, width = body.mask.shape
-    inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
-    x, y = np.clip(x, 0, width - 1), np.clip(y, 0, height - 1)
-    off_m = np.abs(body.depth_m[y, x] - start_m - slope * steps)
-    same = inside & body.read[y, x] & ~body.mask[y, x] & (off_m < _SURFACE_RADII * body.radius_m)
-    if same.mean() < _BEYOND_SHARE or color is None:
-        return bool(same.mean() >= _BEYOND_SHARE)
-    part = color[body.part][:: body.step, :: body.step]
-    gap = np.median(part[y, x][same], axis=0) - np.median(part[v, u], axis=0)
-    return float(np.abs(gap).max()) < _SAME_COLOR
+    rise, start_m = np.polyfit(forward[read], body.depth_m[v, u][read], 1)
+    # Beyond the blur of the camera's edges
+    beyond = np.linspace(*np.maximum(np.array(_BEYOND_RADII) * radius, _BLUR_PX / body.scale), 5)
+    steps, sides = (
+        g.ravel() for g in np.meshgrid(edge + beyond, np.linspace(-0.5, 0.5, 5) * radius)
+    )
+    y, x = body.pixels(np.stack([tip + end * steps, middle + slope * steps + sides], axis=1))
+    off_m = np.abs(body.depth_m[y, x] - start_m - rise * steps)
+    same = body.read[y, x] & ~body.mask[y, x] & (off_m < _SURFACE_RADII * body.radius_m)
+    if color is not None and same.mean() >= _BEYOND_SHARE:
+        strip = _warped(color, body.turn, body.mask.shape[::-1]).astype(np.int16)
+        same &= np.abs(strip[y, x] - np.median(strip[v, u], axis=0)).max(axis=1) < _SAME_COLOR
+    return bool(same.mean() >= _BEYOND_SHARE)
 
 
 # Real fruit with correct depth do not exceed these limits; some drawn in heaps do, and most masks
 # that are moved across by a radius.
 _NEAREST_PERCENT, _NEAR_RADII, _SECTIONS = 20, 1.3, 5
-_RADIUS_PX, _SHIFTS, _MOVED_RADII = 6.0, 13, 0.6
-_ALIGNED, _BETTER, _LEAST_KNOWN = 1.0, 0.7, 0.3
+_SHIFTS, _MOVED_RADII = 13, 0.6
+_ALIGNED, _BETTER, _LEAST_KNOWN = 1.0, 0.8, 0.3
 _BESIDE_SCORES = -1.0, 0.8  # of a mask beside its fruit: more is on it, less is behind others
 _WIDER = 0.7  # focal length of a D435's depth, relative to its colour's
-_ALIGNED_AS_WIDER, _BETTER_AS_WIDER, _BEST_SCORE = 1.2, 0.8, 2.0
+_ALIGNED_AS_WIDER, _BETTER_AS_WIDER, _BEST_SCORE = 1.2, 0.9, 2.0
 
 
-def _fits_better_elsewhere(depth_m: NDArray[np.float32], body: _Body) -> bool:
+def _fits_better_elsewhere(depth_m: Depth, body: _Body) -> bool:
     """Return whether a mask fits its depth much better moved, or enlarged from a wider camera."""
     layers = _layers(body.depth_m, body)
     if layers is None:
@@ -481,16 +505,20 @@ def _fits_better_elsewhere(depth_m: NDArray[np.float32], body: _Body) -> bool:
     least, most = _BESIDE_SCORES
     if least <= score <= most:
         limit = max(_ALIGNED, score + _BETTER)
-        if _is_best(_scores(layers, _SHIFTS), limit, _MOVED_RADII * _RADIUS_PX):
+        if _is_best(_scores(layers, _SHIFTS), limit, _MOVED_RADII * _SCORE_PX):
             return True
     limit = max(_ALIGNED_AS_WIDER, score + _BETTER_AS_WIDER)
     if limit > _BEST_SCORE:
         return False
-    layers = _layers(_as_wider(depth_m, body), body)
+    # Enlarged about the picture's middle, as if nobody had aligned it
+    middle = np.array(depth_m.shape[::-1]) / 2
+    turn = _WIDER * body.turn
+    turn[:, 2] += (1 - _WIDER) * middle
+    layers = _layers(_warped(depth_m, turn, body.mask.shape[::-1]), body)
     return layers is not None and _is_best(_scores(layers, _SHIFTS), limit)
 
 
-def _is_best(scores: NDArray[np.float32], least: float, least_moved: float = 0.0) -> bool:
+def _is_best(scores: Depth, least: float, least_moved: float = 0.0) -> bool:
     """Return whether the best score is high enough, at a place that is moved far enough."""
     best = np.unravel_index(int(scores.argmax()), scores.shape)
     moved = np.abs(np.array(best) - _SHIFTS)
@@ -498,25 +526,7 @@ def _is_best(scores: NDArray[np.float32], least: float, least_moved: float = 0.0
     return bool(scores[best] >= least and np.hypot(*moved) >= least_moved and moved.max() < _SHIFTS)
 
 
-def _as_wider(depth_m: NDArray[np.float32], body: _Body) -> NDArray[np.float32]:
-    """Return a part of a depth picture, enlarged about the middle as if nobody had aligned it."""
-    import cv2
-
-    height, width = depth_m.shape
-    v, u = body.part
-    scale = _WIDER * body.step
-    turn = np.array(
-        [
-            [scale, 0.0, width / 2 + (u.start - width / 2) * _WIDER],
-            [0.0, scale, height / 2 + (v.start - height / 2) * _WIDER],
-        ]
-    )
-    size = body.mask.shape[::-1]
-    nearest = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
-    return np.asarray(cv2.warpAffine(depth_m, turn, size, flags=nearest), np.float32)
-
-
-def _layers(depth_m: NDArray[np.float32], body: _Body) -> NDArray[np.float32] | None:
+def _layers(depth_m: Depth, body: _Body) -> Depth | None:
     """Return what is near (1) and far (-1), what is read, the mask and a ring around it, shrunk.
 
     Near is what lies before 1.3 apparent radii behind what is nearest along the fruit,
@@ -524,17 +534,19 @@ def _layers(depth_m: NDArray[np.float32], body: _Body) -> NDArray[np.float32] | 
     """
     import cv2
 
-    read = valid_depth(depth_m)
-    line = body.line if depth_m is body.depth_m else body.near_line(depth_m, read)
+    is_own = depth_m is body.depth_m
+    read = body.read if is_own else valid_depth(depth_m)
+    line = body.line if is_own else body.near_line(depth_m, read)
     if line is None:
         return None
-    limit_m = (line[0] + line[1] * body.along) * (1 + _NEAR_RADII * body.radius_m / body.distance_m)
+    height, width = body.mask.shape
+    limit_m = line[0] + line[1] * np.arange(width, dtype=np.float32)
+    limit_m *= 1 + _NEAR_RADII * body.radius_m / body.distance_m
     behind = np.where(depth_m < limit_m, np.float32(1), np.float32(-1)) * read
-    # Six pixels per radius are enough to find the best position.
-    scale = min(1.0, _RADIUS_PX / body.radius_px)
-    size = [max(1, round(n * scale)) for n in body.mask.shape[::-1]]
+    scale = min(1.0, _SCORE_PX / body.radius_px)
+    size = max(1, round(width * scale)), max(1, round(height * scale))
     values, is_read, shape = (
-        np.asarray(cv2.resize(np.asarray(part, np.float32), size, interpolation=cv2.INTER_AREA))
+        np.asarray(cv2.resize(part.astype(np.float32), size, interpolation=cv2.INTER_AREA))
         for part in (behind, read, body.mask)
     )
     outer, inner = (np.asarray(cv2.dilate(shape, np.ones((n, n)))) for n in (7, 3))
@@ -542,7 +554,7 @@ def _layers(depth_m: NDArray[np.float32], body: _Body) -> NDArray[np.float32] | 
     return np.stack([values, is_read, shape, ring]).astype(np.float32)
 
 
-def _scores(layers: NDArray[np.float32], shifts: int) -> NDArray[np.float32]:
+def _scores(layers: Depth, shifts: int) -> Depth:
     """Return how well a mask fits depth at each shift up to so many pixels.
 
     The score is the mean inside the mask minus the mean around it, where near readings count +1 and
@@ -571,9 +583,7 @@ _NEAR_M, _PICTURE_STRIDE = 2.0, 4  # where the steps of a picture are looked at
 _EIGHT_BITS_M, _MILLIMETRE_M = 0.2555, 0.00099
 
 
-def has_coarse_steps(
-    depth_m: NDArray[np.float32], readings_m: NDArray[np.float32], *, may_be_one: bool = True
-) -> bool:
+def has_coarse_steps(depth_m: Depth, readings_m: Depth, *, may_be_one: bool = True) -> bool:
     """Return whether depth has too few values for a round body, as after 8 bits.
 
     Parameters
@@ -599,34 +609,21 @@ def has_coarse_steps(
     counts = np.unique(readings_m, return_counts=True)[1]
     if may_be_one and counts.max() >= _ONE_VALUE_SHARE * counts.sum():
         return len(np.unique(picture_m)) > 1
-    return _is_coarse(picture_m, readings_m) or _has_eight_bits(depth_m, readings_m)
-
-
-def _is_coarse(picture_m: NDArray[np.float32], readings_m: NDArray[np.float32]) -> bool:
-    """Return whether a fruit's readings are too few values for a round body.
-
-    Where steps are as thick as the fruit, those of the picture tell.
-    """
-    levels_m, least = _levels(readings_m), _FRUIT_LEVELS
-    if 0 < len(levels_m) < least:
-        levels_m, least = _levels(picture_m), _PICTURE_LEVELS
-    if len(levels_m) < least:
-        return False
-    return float(np.median(np.diff(levels_m) / levels_m[1:])) > _COARSE_STEP
-
-
-def _has_eight_bits(depth_m: NDArray[np.float32], readings_m: NDArray[np.float32]) -> bool:
-    """Return whether a picture holds 0 to 255 mm, as one of 8 bits that was saved with 16.
-
-    Cameras that read so near store tenths of a millimetre.
-    """
-    if readings_m.max() > _EIGHT_BITS_M or depth_m.max() > _EIGHT_BITS_M:
-        return False
     levels_m = _levels(readings_m)
-    return len(levels_m) > 1 and float(np.diff(levels_m).min()) >= _MILLIMETRE_M
+    # 0 to 255 mm, as a picture of 8 bits that was saved with 16; cameras that read so near store
+    # tenths of a millimetre.
+    steps_m = np.diff(levels_m)
+    if depth_m.max() <= _EIGHT_BITS_M and len(steps_m) and steps_m.min() >= _MILLIMETRE_M:
+        return True
+    least = _FRUIT_LEVELS
+    if 0 < len(levels_m) < least:  # steps as thick as the fruit: those of the picture tell
+        levels_m, least = _levels(picture_m), _PICTURE_LEVELS
+    return len(levels_m) >= least and (
+        float(np.median(np.diff(levels_m) / levels_m[1:])) > _COARSE_STEP
+    )
 
 
-def _levels(readings_m: NDArray[np.float32]) -> NDArray[np.float32]:
+def _levels(readings_m: Depth) -> Depth:
     """Return the values that nearly all readings have, ascending; empty if there are none."""
     spacing = max(1, readings_m.size // _LEVEL_SAMPLES)
     levels_m, counts = np.unique(readings_m[::spacing], return_counts=True)

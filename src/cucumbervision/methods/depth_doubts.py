@@ -281,16 +281,14 @@ def _has_gap(body: _Body) -> bool:
 
 
 def _parts(core: Mask, least: float) -> list[tuple[Mask, Mask]]:
-    """Return each large part of a mask, and all others; nothing if there is only one."""
+    """Return each large part of a mask but the largest, and all others."""
     import cv2
 
     count, labels, stats, _ = cv2.connectedComponentsWithStats(core.astype(np.uint8))
     areas = stats[1:count, cv2.CC_STAT_AREA]
-    large = 1 + np.flatnonzero(areas > least * areas.sum())
-    if len(large) < 2:
-        return []
+    large = [1 + part for part in areas.argsort() if areas[part] > least * areas.sum()]
     every = np.isin(labels, large)
-    return [(labels == part, every & (labels != part)) for part in large]
+    return [(labels == part, every & (labels != part)) for part in large[:-1]]
 
 
 def _nearest(part: Mask, rest: Mask) -> tuple[Places, Places]:
@@ -362,9 +360,8 @@ def _lies_in_plane(body: _Body) -> bool:
     middle = body.read & (body.inside_px > 0.5 * body.radius_px)
     if min(np.count_nonzero(around), np.count_nonzero(middle)) < MIN_READINGS:
         return False
-    v, u = np.indices(body.mask.shape)
-    grid = np.stack([u, v, np.ones(u.shape)], axis=-1)
-    places, z_m = grid[around], body.depth_m[around]
+    v, u = np.nonzero(around)
+    places, z_m = np.stack([u, v, np.ones(len(u))], axis=1), body.depth_m[around]
     fits = np.ones(len(z_m), bool)
     for _ in range(_PLANE_STEPS):
         known = places[fits]
@@ -372,7 +369,8 @@ def _lies_in_plane(body: _Body) -> bool:
         gap_m = z_m - places @ plane
         around_sd_m = _robust_sd(gap_m[fits])
         fits = np.abs(gap_m - quick_median(gap_m[fits])) <= 3.0 * around_sd_m + 1e-4
-    ahead_m = np.abs(body.depth_m - grid @ plane)
+    v, u = np.ogrid[: body.mask.shape[0], : body.mask.shape[1]]
+    ahead_m = np.abs(body.depth_m - plane[0] * u - plane[1] * v - plane[2])
     if max(around_sd_m, _robust_sd(ahead_m[middle])) >= _ROUGHNESS_RADII * body.radius_m:
         return False
     if quick_median(ahead_m[middle]) < _LEAST_HEIGHT_RADII * body.radius_m:
@@ -404,11 +402,13 @@ def _has_one_depth(body: _Body) -> bool:
     rim = body.read & (share >= _FLANK_RANGE[0]) & (share <= _FLANK_RANGE[1])
     middle = body.read & (share > _FLANK_RANGE[1])
     depths = [body.depth_m[:, part][middle[:, part]] for part in body.sections(_PARTS)]
-    medians_m = [quick_median(depth_m) for depth_m in depths if len(depth_m) >= MIN_READINGS // 2]
-    if len(medians_m) <= _PARTS // 2 or not rim.any():
+    # Means: medians have the steps of the readings.
+    means_m = [depth_m.mean() for depth_m in depths if len(depth_m) >= MIN_READINGS // 2]
+    has_background = bool((body.read & ~body.mask).any())
+    if len(means_m) <= _PARTS // 2 or not (rim.any() and has_background):
         return False
-    flank_m = abs(quick_median(body.depth_m[rim]) - quick_median(body.depth_m[middle]))
-    return float(max(np.std(medians_m), flank_m)) < _FLAT_RADII * body.radius_m
+    flank_m = abs(body.depth_m[rim].mean() - body.depth_m[middle].mean())
+    return float(max(np.std(means_m), flank_m)) < _FLAT_RADII * body.radius_m
 
 
 def _has_stem(body: _Body) -> bool:
@@ -613,7 +613,8 @@ def has_coarse_steps(depth_m: Depth, readings_m: Depth, *, may_be_one: bool = Tr
     # 0 to 255 mm, as a picture of 8 bits that was saved with 16; cameras that read so near store
     # tenths of a millimetre.
     steps_m = np.diff(levels_m)
-    if depth_m.max() <= _EIGHT_BITS_M and len(steps_m) and steps_m.min() >= _MILLIMETRE_M:
+    is_fine = not len(steps_m) or steps_m.min() < _MILLIMETRE_M
+    if not is_fine and max(readings_m.max(), depth_m.max()) <= _EIGHT_BITS_M:
         return True
     least = _FRUIT_LEVELS
     if 0 < len(levels_m) < least:  # steps as thick as the fruit: those of the picture tell

@@ -213,22 +213,30 @@ def test_an_outline_that_jumps_ends_early_or_is_loose_is_told() -> None:
     middle = int(rows.mean())
     stray[middle - 8 : middle + 8, columns.max() + 80 : columns.max() + 100] = True
     stem[middle - 3 : middle + 4, columns.max() : columns.max() + 40] = True
+    stub, beside = mask.copy(), mask.copy()
+    stub[middle - 4 : middle + 5, columns.max() - 1 : columns.max() + 11] = True
+    beside[middle + 60 : middle + 70, 310:330] = True
     assert doubts(capture) == ()
     assert doubts(capture, wide) == (Flag.DEPTH_UNALIGNED,)
     assert doubts(capture, narrow) == (Flag.OUTLINE_SHORT,)
     assert doubts(capture, cut) == (Flag.OUTLINE_SHORT,)
-    for outline, flag in ((stray, Flag.DEPTH_GAP), (stem, Flag.OUTLINE_STEM)):
+    gap, narrow_end = Flag.DEPTH_GAP, Flag.OUTLINE_STEM
+    for outline, flag in ((stray, gap), (beside, gap), (stem, narrow_end), (stub, narrow_end)):
         more = with_depth(capture, np.where(outline & ~mask, 0.48, capture.depth_m))
         assert doubts(more, outline) == (flag,)
-    single = with_depth(capture, np.where(mask, 0.49, capture.depth_m))
-    assert doubts(single) == (Flag.DEPTH_COARSE,)
+    for noise_m in (0.0, 0.002):
+        one_m = np.random.default_rng(2).normal(0.4903, noise_m, mask.shape).round(3)
+        assert doubts(with_depth(capture, np.where(mask, one_m, capture.depth_m))) == (
+            Flag.DEPTH_COARSE,
+        )
+    bench = with_depth(capture, np.minimum(capture.depth_m, 0.52))
+    assert (doubts(bench), doubts(bench, wide)) == ((), (Flag.DEPTH_UNALIGNED,))
     assert is_lower_bound([Flag.OUTLINE_SHORT])
     assert not is_lower_bound([Flag.END_HIDDEN, Flag.OUTLINE_STEM])
 
 
 def is_elsewhere(capture: Capture) -> bool:
-    doubts = depth_doubts(capture.depth_m, capture.masks[0], capture.intrinsics.fx_px)
-    return Flag.DEPTH_UNALIGNED in doubts
+    return Flag.DEPTH_UNALIGNED in doubts(capture)
 
 
 @pytest.mark.parametrize("moved_px", [(0, 16), (0, -24), (14, 14)])

@@ -62,8 +62,8 @@ _ONE_VALUE_SHARE = 0.6  # real skin has one value on at most 0.23 of its pixels
 _STEM_WIDTH, _SHOULDER_WIDTH, _STEM_RADII, _TAPER_RADII = 0.35, 0.86, 0.45, 1.0
 # Surface that goes on: in a ring of pixels (a camera's own blur makes 0.94), and beyond an end.
 _RING_PX, _RING_SHARE, _RING_RADII = (3, 7), 0.97, 1.3
-_BEYOND_RADII, _BEYOND_SHARE, _SURFACE_RADII, _SAME_COLOR = (0.2, 0.7), 0.75, 0.5, 45.0
-_BLUR_PX = np.array([5.0, 9.0])
+_BEYOND_RADII, _BLUR_PX = np.array([0.2, 0.7]), np.array([5.0, 9.0])
+_BEYOND_SHARE, _SURFACE_RADII, _SAME_COLOR = 0.75, 0.5, 45.0
 
 
 def depth_doubts(
@@ -88,14 +88,14 @@ def depth_doubts(
     Returns
     -------
     tuple of Flag
-        'depth-too-near': the fruit is nearer than the minimum distance of any camera.
-        'depth-sparse': less than half of its pixels have a reading.
-        'depth-hollow': its middle lies behind its flanks, and the fruit behind its surroundings,
-        as in inverted depth. 'depth-gap': the mask has several parts, and the background between
-        them is clearly farther away, so that they are different fruit. 'depth-unaligned': the fruit
-        does not stand out from the plane around it, part of the mask lies far behind it nearly all
-        along, or the mask fits the near depth much better at another position. 'depth-coarse': its
-        readings differ in steps of over 1.2 % of the distance, or are one value, or the picture
+        'depth-too-near': the fruit is nearer than the minimum distance of any camera. 'depth-
+        sparse': less than half of its pixels have a reading. 'depth-hollow': its middle lies behind
+        its flanks, and the fruit behind its surroundings, as in inverted depth. 'depth-gap': the
+        mask has several parts, and the background between them is clearly farther away, so that
+        they are different fruit. 'depth-unaligned': the fruit does not stand out from the plane
+        around it, part of the mask lies in that plane or far behind nearly all along, or the mask
+        fits the near depth much better at another position. 'depth-coarse': its readings differ in
+        steps of over 1.2 % of the distance, or are one value with or without noise, or the picture
         holds whole millimetres up to 255; not of a fruit that is too near. 'outline-stem': an end
         of the mask is a third as wide as the fruit. 'outline-short': the surface goes on beyond it.
 
@@ -177,8 +177,9 @@ class _Body:
     def has_all_along(self, beside: Mask) -> bool:
         """Return whether a share of the mask, nearly all along, is beside the fruit's skin."""
         read = self.mask & self.read
+        beside = beside & read
         shares = [
-            np.count_nonzero((beside & read)[:, part]) / max(np.count_nonzero(read[:, part]), 1)
+            int(beside[:, part].sum()) / max(int(read[:, part].sum()), 1)
             for part in self.sections(_PARTS)
         ]
         return float(np.quantile(shares, 0.25)) >= _BESIDE_SHARE
@@ -473,7 +474,8 @@ def _goes_on(body: _Body, end: int, color: NDArray[np.uint8] | None) -> bool:
         return False
     rise, start_m = np.polyfit(forward[read], body.depth_m[v, u][read], 1)
     # Beyond the blur of the camera's edges
-    beyond = np.linspace(*np.maximum(np.array(_BEYOND_RADII) * radius, _BLUR_PX / body.scale), 5)
+    nearest, farthest = np.maximum(_BEYOND_RADII * radius, _BLUR_PX / body.scale)
+    beyond = np.linspace(nearest, farthest, 5)
     steps, sides = (
         g.ravel() for g in np.meshgrid(edge + beyond, np.linspace(-0.5, 0.5, 5) * radius)
     )

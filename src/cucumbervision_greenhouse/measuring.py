@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 from contextlib import suppress
 from dataclasses import replace
@@ -109,49 +110,11 @@ class SharedMeasurer:
         # Without its own masks, which would replace the networks' detections.
         self.with_options(options).measure(replace(first, masks=()))
         with suppress(InstancesError):  # the result is ignored
-            self.mask_from_click(first, (first.width / 2, first.height / 2))
+            self.mask_of(first, (first.width / 2, first.height / 2))
 
     def prepare(self, capture: Capture) -> None:
         """Compute what outlining needs of a picture, before somebody taps into it."""
         self._sam().mask_at(capture.color, capture.width / 2, capture.height / 2)
-
-    def mask_from_click(self, capture: Capture, at_px: tuple[float, float]) -> NDArray[np.bool_]:
-        """Return the mask of the fruit at a point.
-
-        The final mask comes from the box of the segmented object, as for all other fruit: the mask
-        of a point alone is narrower, so that visible ends seem hidden.
-
-        Raises
-        ------
-        InstancesError
-            If there is none.
-        """
-        segmented = self._draft(capture, at_px)
-        x1, y1, x2, y2 = box_of_mask(segmented).tolist()
-        try:
-            drawn = self.mask_from_box(capture, (x1, y1, x2, y2))
-        except InstancesError:
-            return segmented
-        return drawn if mask_iou(drawn, segmented) > _SAME_IOU else segmented
-
-    def _draft(self, capture: Capture, at_px: tuple[float, float]) -> NDArray[np.bool_]:
-        """Return the mask of a point alone; the last one is held."""
-        return self._held(
-            "draft", capture, at_px, lambda: _some(self._sam().mask_at(capture.color, *at_px))
-        )
-
-    def _held(
-        self,
-        kind: str,
-        capture: Capture,
-        prompt: Sequence[float],
-        draw: Callable[[], NDArray[np.bool_]],
-    ) -> NDArray[np.bool_]:
-        """Return the mask of a prompt: the last one of its kind if that was the same."""
-        key = capture_sha256(capture), *map(float, prompt)
-        if kind not in self._masks or self._masks[kind][0] != key:
-            self._masks[kind] = key, draw()
-        return self._masks[kind][1]
 
     def draft_of(
         self, capture: Capture, point: Sequence[float] | None, box: Sequence[float] | None
@@ -166,44 +129,61 @@ class SharedMeasurer:
             If there is none.
         """
         if not point:
-            return self.mask_of(capture, point, box)
-        return self._draft(capture, (float(point[0]), float(point[1])))
-
-    def mask_from_box(
-        self, capture: Capture, box_px: tuple[float, float, float, float]
-    ) -> NDArray[np.bool_]:
-        """Return the mask of the fruit in a box.
-
-        Raises
-        ------
-        InstancesError
-            If there is none.
-        """
-        x1, y1, x2, y2 = box_px
-        box = np.array([min(x1, x2), min(y1, y2), max(x1, x2), max(y1, y2)])
-        (segmented,) = self._sam().segment(capture.color, [Instance(box)])
-        return _some(segmented.mask)
+            return self.mask_of(capture, None, box)
+        return self._last(
+            "draft", capture, point, lambda: self._sam().mask_at(capture.color, *point)
+        )
 
     def mask_of(
-        self, capture: Capture, point: Sequence[float] | None, box: Sequence[float] | None
+        self,
+        capture: Capture,
+        point: Sequence[float] | None = None,
+        box: Sequence[float] | None = None,
     ) -> NDArray[np.bool_]:
         """Return the mask of the fruit at a point, or in a box where none is given.
 
-        The last one is held: one of a box is shown as an outline first, and measured then.
+        The mask of a point comes from the box of what is segmented there, as for all other fruit:
+        the mask of a point alone is narrower, so that visible ends seem hidden.
 
         Raises
         ------
         InstancesError
             If there is none.
         """
+        return self._last(
+            "whole", capture, point or box or (), lambda: self._draw(capture, point, box)
+        )
 
-        def draw() -> NDArray[np.bool_]:
-            if point:
-                return self.mask_from_click(capture, (float(point[0]), float(point[1])))
+    def _draw(
+        self, capture: Capture, point: Sequence[float] | None, box: Sequence[float] | None
+    ) -> NDArray[np.bool_]:
+        if not point:
             x1, y1, x2, y2 = (float(value) for value in box or ())
-            return self.mask_from_box(capture, (x1, y1, x2, y2))
+            edges = np.array([min(x1, x2), min(y1, y2), max(x1, x2), max(y1, y2)])
+            (segmented,) = self._sam().segment(capture.color, [Instance(edges)])
+            return _some(segmented.mask)
+        draft = self.draft_of(capture, point, None)
+        try:
+            drawn = self._draw(capture, None, box_of_mask(draft).tolist())
+        except InstancesError:
+            return draft
+        return drawn if mask_iou(drawn, draft) > _SAME_IOU else draft
 
-        return self._held("whole", capture, point or box or (), draw)
+    def _last(
+        self,
+        kind: str,
+        capture: Capture,
+        prompt: Sequence[float],
+        draw: Callable[[], NDArray[np.bool_] | None],
+    ) -> NDArray[np.bool_]:
+        """Return the mask of a prompt: the last one of its kind if that was the same.
+
+        A mask is shown as an outline first, and measured then.
+        """
+        key = capture_sha256(capture), *map(float, prompt)
+        if kind not in self._masks or self._masks[kind][0] != key:
+            self._masks[kind] = key, _some(draw())
+        return self._masks[kind][1]
 
     def correct(
         self,
@@ -306,7 +286,7 @@ def measure_waiting(
     measurer: SharedMeasurer,
     store: Store,
     options: Callable[[], MeasureOptions],
-    settle: Callable[[str], str],
+    settle: Callable[[str], object],
     job: Job,
 ) -> int:
     """Measure queued captures until the queue is empty; return how many became stops.
@@ -319,9 +299,9 @@ def measure_waiting(
     waiting : WaitingCaptures
         The captures.
     settle : callable
-        Called with a round's key after its last queued capture; returns what went wrong.
+        Called with a round's key after its last queued capture.
     job : Job
-        Counts the captures of each round, and gets a note for each that could not be measured.
+        Counts the captures of each round; those that cannot be measured are logged.
 
     Raises
     ------
@@ -339,7 +319,7 @@ def _measure_alike(
     measurer: SharedMeasurer,
     store: Store,
     options: Callable[[], MeasureOptions],
-    settle: Callable[[str], str],
+    settle: Callable[[str], object],
     job: Job,
 ) -> None:
     """Measure queued captures until the queue is empty or the options change."""
@@ -371,14 +351,12 @@ def _measure_alike(
             queued_capture = queue[0]
             require_store(added)
             if added.failure is not None:
-                job.notes.append(added.failure.message)
+                logging.getLogger(__name__).warning("not measured: %s", added.failure.message)
                 continue
-            job.notes += filter(None, [added.note])
             job.measured[queued_capture.key] = queued_capture.round_key
             waiting.done(queued_capture)
-            last_of_round = all(later.round_key != queued_capture.round_key for later in queue[1:])
-            if last_of_round and (fault := settle(queued_capture.round_key)):
-                job.notes.append(fault)
+            if all(later.round_key != queued_capture.round_key for later in queue[1:]):
+                settle(queued_capture.round_key)
     except (DiskFullError, StoreAwayError):
         if queue:  # no fault of the capture, which would be set aside for it
             waiting.forget_start(queue[0])

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import os
-import re
 import shutil
 import tempfile
 import threading
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager, suppress
-from datetime import date
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -31,18 +29,9 @@ from cucumbervision_greenhouse.answers import Key, Sent, answer
 from cucumbervision_greenhouse.camera.page import routes as capture_routes
 from cucumbervision_greenhouse.exports import ExportFormat
 from cucumbervision_greenhouse.exports.build import RoundTables, round_tables
-from cucumbervision_greenhouse.exports.writers import PageWords, render_sheet, write_exports
-from cucumbervision_greenhouse.language import (
-    day_month_words,
-    decimal_words,
-    language,
-    marked,
-    sentence,
-)
-from cucumbervision_greenhouse.language import gettext as _
-from cucumbervision_greenhouse.resources import crop_titles, settings
+from cucumbervision_greenhouse.exports.writers import render_sheet, write_exports
+from cucumbervision_greenhouse.language import sentence
 from cucumbervision_greenhouse.uploads import Sending
-from cucumbervision_greenhouse.words import hours_words, label_words
 
 if TYPE_CHECKING:
     from starlette.requests import Request
@@ -95,7 +84,7 @@ def _files(request: Request, _: bytes) -> Response:
     except ValueError:
         raise HTTPException(404) from None
     with tempfile.TemporaryDirectory(prefix="cucumbervision-exports-") as folder:
-        write_exports(tables, Path(folder) / "files", formats, words=printed_words())
+        write_exports(tables, Path(folder) / "files", formats, units=resources.settings().units)
         packed = Path(shutil.make_archive(f"{folder}/packed", "zip", f"{folder}/files"))
         content = packed.read_bytes()
     file_name = quote(safe_name(name or "round"))
@@ -106,7 +95,7 @@ def _files(request: Request, _: bytes) -> Response:
 @answer
 def _print(request: Request, _: bytes) -> Response:
     """Answer with a round's page, which the browser prints."""
-    sheet = render_sheet(_tables_of(request)[1], printed_words())
+    sheet = render_sheet(_tables_of(request)[1], resources.settings().units)
     return HTMLResponse(f"{sheet}<script>print()</script>")
 
 
@@ -153,54 +142,3 @@ def _say(error: Exception) -> bool:
     if isinstance(error, CucumberVisionError):
         st.toast(sentence(error), icon=":material/error:", duration="long")
     return isinstance(error, CucumberVisionError)
-
-
-# What a cell joins of the core's words: remarks, reasons in brackets, classes that are possible.
-_JOINTS = re.compile(r"(; |: |, | \(|\)| or )")
-_LEAST = re.compile(r"at least (\d+\.\d) cm")
-_IN_CELLS = (
-    *(marked("picked"), marked("drawn, not grown"), marked("partly hidden")),
-    *(marked("ready"), marked("may be ready"), marked("no crop profile was named")),
-)
-
-
-def printed_words() -> PageWords:
-    """Return how the printed page writes in the language that is shown."""
-    titles, inches = crop_titles(), settings().unit == "in"
-    return PageWords(
-        language(),
-        printed_text,
-        decimal_words,
-        _day,
-        hours_words,
-        crop=lambda name: titles.get(name, name),
-        inches=inches,
-    )
-
-
-def printed_text(text: str) -> str:
-    """Return a text of the page in the language that is shown; of a cell, what is known of it.
-
-    Examples
-    --------
-    >>> printed_text("class II (by length)"), printed_text("an end is hidden: at least 24.1 cm")
-    ('class II (by length)', 'an end is hidden: at least 24.1 cm')
-    """
-    if (whole := _(text)) != text:
-        return whole
-    if "; " in text:
-        return "; ".join(map(printed_text, text.split("; ")))
-    return "".join(map(_part, _JOINTS.split(text)))
-
-
-def _part(text: str) -> str:
-    if bound := _LEAST.fullmatch(text):
-        length = settings().units.text(float(bound[1]) / 100)
-        return _("at least {length}").format(length=length)
-    if text.startswith("class "):
-        return label_words(text)
-    return _(text)
-
-
-def _day(day: str) -> str:
-    return day_month_words(date.fromisoformat(day))

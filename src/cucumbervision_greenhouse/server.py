@@ -73,7 +73,7 @@ def serve(
         check_access(address, token)
         place += f"/?token={token}"
     if replay is not None and not replay.exists():
-        raise CucumberVisionError("does not exist", source=replay, remedy="check --replay")
+        raise CucumberVisionError("does not exist", source=replay, remedy="check the path")
     variables = {STORE_VARIABLE: store, REPLAY_VARIABLE: replay}
     os.environ.update({name: str(value) for name, value in variables.items() if value})
     if ready is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections import Counter
 from functools import partial
 
@@ -10,7 +11,6 @@ import streamlit as st
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import StoreError
-from cucumbervision.run.options import MeasureOptions
 from cucumbervision_greenhouse.jobs import Job, Progress, progress_of
 from cucumbervision_greenhouse.language import marked
 from cucumbervision_greenhouse.measuring import measure_waiting
@@ -42,15 +42,11 @@ def wake() -> Job | None:
     job = _last().get("measure")
     if (job and not job.finished) or not waiting().captures():
         return job
-    parts = waiting(), measurer(), store(), _options, _settle
+    parts = waiting(), measurer(), store(), lambda: settings().options, _settle
     # A partial function is not bound to a page, so that it may run with no page open.
     job = worker().submit(marked("Measuring"), partial(measure_waiting, *parts), None)
     _last()["measure"] = job
     return job
-
-
-def _options() -> MeasureOptions:
-    return settings().options
 
 
 def measuring_fault() -> str:
@@ -77,11 +73,12 @@ def _queue_uploads(_: Job) -> None:
         wake()
 
 
-def _settle(round_key: str) -> str:
+def _settle(round_key: str, _: Job | None = None) -> None:
     round_summary = store().round(round_key)
     fault = settle(store(), round_key, profile_of(round_summary)[1] if round_summary else None)
     mergings()[round_key] += 1
-    return fault
+    if fault:
+        logging.getLogger(__name__).warning("round %s: %s", round_key, fault)
 
 
 @st.cache_resource(show_spinner=False)
@@ -92,10 +89,7 @@ def mergings() -> Counter[str]:
 
 def merge(round_key: str) -> None:
     """Merge the views of a round in the background."""
-
-    def work(job: Job) -> None:
-        job.notes += filter(None, [_settle(round_key)])
-
+    work = partial(_settle, round_key)
     worker().submit(marked("Merging views of the same fruit"), work, round_key)
 
 
@@ -150,11 +144,13 @@ def prepare() -> Job | None:
 
 
 def _demonstrate(job: Job) -> None:
-    options = settings().options
     places = [example_captures()]
     job.total = open_source(places[0]).total or 0
-    done = add_captures(store(), DEMONSTRATION, places, options, report=lambda _: job.step())
-    job.notes += (added.failure.message for added in done if added.failure is not None)
+
+    def step(_: object) -> None:
+        job.done += 1
+
+    add_captures(store(), DEMONSTRATION, places, settings().options, report=step)
     merge(DEMONSTRATION)
 
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainSerializer, PlainValidator
 
 from cucumbervision.capture.camera_file import CameraModel
+from cucumbervision.capture.frames import Stop
 from cucumbervision.capture.intrinsics import Intrinsics, Stream
 from cucumbervision.capture.pictures import COLOR_SUFFIXES, read_color
 from cucumbervision.capture.uploads import Limits, accept_uploads
@@ -23,11 +24,10 @@ from cucumbervision.errors import (
     DiskFullError,
     IntrinsicsError,
     Message,
-    NameRefusedError,
     StoreAwayError,
     UploadError,
 )
-from cucumbervision.names import LONGEST_NAME, checked_name
+from cucumbervision.names import LONGEST_NAME
 from cucumbervision_greenhouse.rounds.adding import RoundCapture
 from cucumbervision_greenhouse.rounds.walking import (
     NextPlace,
@@ -48,6 +48,7 @@ if TYPE_CHECKING:
 MOST_FILES = 1000
 _ABOUT = "upload.json"
 _KEPT = 20  # number of uploads whose outcomes are kept
+_LONGEST_ROW_M = 1000.0
 _RESERVE_BYTES = 500_000_000  # disk space that is left for new captures
 
 # Focal length divided by the picture's shorter side, which is the sensor's height, also where the
@@ -55,17 +56,13 @@ _RESERVE_BYTES = 500_000_000  # disk space that is left for new captures
 CAMERAS = {"RealSense D435 / D435i": 1.283, "RealSense D415": 1.285, "RealSense D455": 0.894}
 
 
-def _given(name: str) -> str:
-    try:
-        return checked_name(name, "row or side")
-    except NameRefusedError as error:
-        raise ValueError(str(error)) from None
-
-
-StoredMessage = Annotated[str, PlainValidator(Message.from_json), PlainSerializer(Message.as_json)]
-FileName = Annotated[str, Field(max_length=500)]  # with its folders
-GivenName = Annotated[str, Field(max_length=LONGEST_NAME), AfterValidator(_given)]
-Length = Annotated[float, Field(ge=0, le=1000, allow_inf_nan=False)]
+def _checked(place: NextPlace) -> NextPlace:
+    """Refuse a place that no stop can have, before files are sent."""
+    Stop(place.row or None, place.side, place.position_m)
+    lengths = place.position_m, place.step_m
+    if not all(0 <= length <= _LONGEST_ROW_M for length in lengths):  # NaN is refused, too
+        raise ValueError(place)
+    return place
 
 
 class _Frozen(BaseModel):
@@ -73,21 +70,11 @@ class _Frozen(BaseModel):
 
 
 class SentFile(_Frozen):
-    """A file as announced: its name, its size in bytes, the time of its last change."""
+    """A file as announced: its name with its folders, its size in bytes, its last change."""
 
-    name: FileName
+    name: Annotated[str, Field(max_length=500)]
     size: Annotated[int, Field(ge=0)]
     changed: Annotated[float, Field(allow_inf_nan=False)] = 0.0
-
-
-class SentPlace(_Frozen):
-    """Place of the first capture that names none, as `NextPlace`."""
-
-    row: GivenName = ""
-    side: GivenName = "left"
-    position_m: Length = 0.0
-    step_m: Length = 0.4
-    back: bool = False
 
 
 class UploadOutcome(_Frozen):
@@ -95,7 +82,7 @@ class UploadOutcome(_Frozen):
 
     name: str
     saved: bool
-    words: StoredMessage
+    words: Annotated[str, PlainValidator(Message.from_json), PlainSerializer(Message.as_json)]
 
 
 class Sending(_Frozen):
@@ -103,7 +90,7 @@ class Sending(_Frozen):
 
     round: Annotated[str, Field(pattern=r"^[0-9a-f-]{36}$")]
     files: Annotated[tuple[SentFile, ...], Field(min_length=1, max_length=MOST_FILES)]
-    place: SentPlace = SentPlace()
+    place: Annotated[NextPlace, AfterValidator(_checked)] = NextPlace("")
     camera: Annotated[str, Field(max_length=LONGEST_NAME)] = ""
 
     @property
@@ -243,9 +230,10 @@ class Uploads:
         for path in paths:
             path.touch()  # an empty file has no parts
         files = [(file.name, path) for file, path in zip(sending.files, paths, strict=True)]
-        size = max(sending.size, 1)
-        limits, place = replace(Limits(), file_bytes=size, total_bytes=size), sending.place
-        walk = NextPlace(place.row, place.side, place.position_m, place.step_m, place.back)
+        # Of the files themselves no more arrives than was announced.
+        most = max(sending.size, Limits().total_bytes)
+        limits = Limits(files=MOST_FILES, file_bytes=most, total_bytes=most)
+        walk = sending.place
         try:
             with tempfile.TemporaryDirectory(dir=self.folder) as folder:
                 accepted = accept_uploads(files, Path(folder), limits)

@@ -207,6 +207,18 @@ def row_name(row: str | None) -> str:
     return _("Row {row}").format(row=row or "?")
 
 
+def row_and_side(view: FruitRow) -> str:
+    """Return the row and side of a fruit.
+
+    Examples
+    --------
+    >>> from cucumbervision_greenhouse.store.records import FruitRow
+    >>> row_and_side(FruitRow(1, row="3", side="left"))
+    'Row 3, left'
+    """
+    return row_name(view.row) + (f", {side_words(view.side)}" if view.side else "")
+
+
 def clock_words(walked_s: float) -> str:
     """Return the words for a round that is later than this machine's clock."""
     return _(
@@ -252,32 +264,6 @@ def pick_words(pick: Pick) -> str:
     return f"{_(UNDECIDED)}: {choice_words(pick.possible)}"
 
 
-# Where an outline is from, as `MaskSource.words` names it.
-_OUTLINES = (marked("data set"), marked("detector"), marked("hand"))
-
-
-# Verdicts, as the filters of a list name them.
-_VERDICTS = (marked("accepted"), marked("rejected"))
-
-
-# Names and sources of the crops that the program brings.
-_CROPS = (
-    marked("long greenhouse cucumber"),
-    marked("mini cucumber"),
-    marked("aubergine, elongated"),
-    marked("courgette"),
-    marked("green bean"),
-    marked("greenhouse classes of the CucumberVision paper"),
-    marked("UNECE FFV-15, crookedness; crooked fruit are class II, packed apart"),
-    marked("Regulation (EEC) No 1677/88, III: grown under glass"),
-    marked("Regulation (EEC) No 1677/88, III: shortest length for the weight, Extra and I"),
-    marked("assumption: lengths that are usual in trade"),
-    *(marked("50 to 100 g"), marked("100 to 225 g"), marked("100 to 300 g")),
-    *(marked("225 to 450 g"), marked("250 to 500 g"), marked("300 to 500 g")),
-    marked("500 g and more"),
-)
-
-
 def class_words(name: str) -> str:
     """Return the name of a class for people, in the language that is shown.
 
@@ -312,22 +298,9 @@ def choice_words(names: Iterable[str]) -> str:
     return words_of(grades.choice_words(names))
 
 
-# Reasons that the core gives for a class; those of a crop profile of one's own stay as they are.
+# Reasons of the core for a class whose texts it puts together.
 _REASONS = (
-    marked("by length"),
-    marked("practically straight"),
-    marked("slightly crooked"),
-    marked("crooked"),
-    marked("too thin"),
-    marked("too light"),
-    marked("short for its weight"),
-    marked("such a length cannot be"),
-    marked("no centreline length"),
-    marked("no thread length"),
-    marked("no chord length"),
-    marked("only part of it is seen"),
-    marked("the length is uncertain"),
-    marked("by the growth expected since the round"),
+    *(marked("no centreline length"), marked("no thread length"), marked("no chord length")),
 )
 
 

@@ -119,8 +119,8 @@ def test_a_mask_is_corrected_by_a_tap_and_by_a_box(store: Store, measurer: Share
     true = decode_rle(record.mask, capture.height, capture.width)
     ys, xs = np.nonzero(true)
     box = (xs.min() - 3.0, ys.min() - 3.0, xs.max() + 3.0, ys.max() + 3.0)
-    tapped = measurer.mask_from_click(capture, (float(np.median(xs)), float(np.median(ys))))
-    boxed = measurer.mask_from_box(capture, box)
+    tapped = measurer.mask_of(capture, (float(np.median(xs)), float(np.median(ys))))
+    boxed = measurer.mask_of(capture, box=box)
     for mask in (tapped, boxed):
         assert (mask & true).sum() / (mask | true).sum() > 0.9
     measurer.correct(store, detail, capture, boxed, OPTIONS)
@@ -148,7 +148,7 @@ def test_a_fruit_that_was_not_found_is_added_by_a_box(
     ys, xs = np.nonzero(true)
     box = (xs.min() - 3.0, ys.min() - 3.0, xs.max() + 3.0, ys.max() + 3.0)
     again = stored_capture(store.images, stop.captures[0], stop)
-    key = measurer.add(store, stop, again, measurer.mask_from_box(again, box), OPTIONS)
+    key = measurer.add(store, stop, again, measurer.mask_of(again, box=box), OPTIONS)
     detail = store.detection(key)
     assert detail.view.mask is not None
     mask = decode_rle(detail.view.mask, capture.height, capture.width)
@@ -207,8 +207,8 @@ def test_options_and_calibrations_that_change_count_from_the_next_capture_on(
         at = replace(capture, stop=Stop("1", "left", 0.4 * number, number))
         queue.put(at, key_of("press", number), key_of("queue"), float(number + 1))
     write_site_calibration(path, site(scale=1.04))
-    job = Job(1, "Measuring")
-    assert measure_waiting(queue, measurer, store, lambda: choices[0], lambda _: "", job) == 3
+    job = Job("Measuring")
+    assert measure_waiting(queue, measurer, store, lambda: choices[0], print, job) == 3
     stops = sorted(store.stops(key_of("queue")), key=lambda stop: stop.step or 0)
     used = [stored_calibration(store.stop(stop.key)) for stop in stops]
     assert used == [site(scale=1.04), site(scale=1.01), None]
@@ -216,7 +216,7 @@ def test_options_and_calibrations_that_change_count_from_the_next_capture_on(
     path.unlink()
     lost = replace(OPTIONS, calibration=path)
     with pytest.raises(CalibrationError, match=r"site\.json: the file is missing"):
-        measure_waiting(queue, measurer, store, lambda: lost, lambda _: "", job)
+        measure_waiting(queue, measurer, store, lambda: lost, print, job)
     assert [one.tries for one in queue.captures()] == [0]  # it waits
 
 
@@ -235,7 +235,7 @@ def test_a_store_that_is_full_or_away_sets_no_capture_aside(
     store.save_round(Round(key_of("queue")))
     capture = next(iter(open_source(example_captures()))).load()
     queue.put(capture, key_of("press"), key_of("queue"), 1.0)
-    parts = queue, measurer, store, lambda: OPTIONS, lambda _: "", Job(1, "Measuring")
+    parts = queue, measurer, store, lambda: OPTIONS, print, Job("Measuring")
     with monkeypatch.context() as patch:
         patch.setattr(Store, "save_stop", fail)
         for _ in range(4):
@@ -269,7 +269,7 @@ def test_a_correcting_tap_hides_no_end_that_is_in_sight(measurer: SharedMeasurer
         for own in capture.masks:
             v, u = np.nonzero(own)
             middle = ((u - u.mean()) ** 2 + (v - v.mean()) ** 2).argmin()
-            mask = measurer.mask_from_click(capture, (float(u[middle]), float(v[middle])))
+            mask = measurer.mask_of(capture, (float(u[middle]), float(v[middle])))
             found, before = (
                 measurer.with_options(OPTIONS).measure_instance(
                     capture, Instance(box_of_mask(one), mask=one, mask_source=MaskSource.SAM)

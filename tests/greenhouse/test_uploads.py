@@ -19,18 +19,11 @@ from cucumbervision.networks.registry import load_registry
 from cucumbervision.run.options import MeasureOptions
 from cucumbervision_greenhouse.jobs import Job
 from cucumbervision_greenhouse.measuring import SharedMeasurer, measure_waiting
-from cucumbervision_greenhouse.rounds.walking import DEMONSTRATION
+from cucumbervision_greenhouse.rounds.walking import DEMONSTRATION, NextPlace
 from cucumbervision_greenhouse.store.records import Round, key_of
 from cucumbervision_greenhouse.store.repository import Store
 from cucumbervision_greenhouse.store.waiting import WaitingCaptures
-from cucumbervision_greenhouse.uploads import (
-    CAMERAS,
-    Sending,
-    SentFile,
-    SentPlace,
-    UploadOutcome,
-    Uploads,
-)
+from cucumbervision_greenhouse.uploads import CAMERAS, Sending, SentFile, UploadOutcome, Uploads
 
 ROUND = key_of("uploads")
 FILES = Sending(round=ROUND, files=(SentFile(name="a.zip", size=6), SentFile(name="b", size=0)))
@@ -101,7 +94,7 @@ def test_what_is_too_large_is_refused_before_it_is_sent(tmp_path: Path) -> None:
             uploads.append(key, number, 0, b"")
 
 
-PLACE = SentPlace(row="7", side="right", position_m=3.0, step_m=0.5, back=True)
+PLACE = NextPlace(row="7", side="right", position_m=3.0, step_m=0.5, back=True)
 Send = Callable[..., tuple[UploadOutcome, ...]]
 
 
@@ -160,8 +153,8 @@ def packed() -> io.BytesIO:
 
 def measure(store: Store, waiting: WaitingCaptures) -> None:
     options, measurer = MeasureOptions(instances="dataset"), SharedMeasurer(load_registry())
-    job = Job(1, "measuring")
-    measure_waiting(waiting, measurer, store, lambda: options, lambda _: "", job)
+    job = Job("measuring")
+    measure_waiting(waiting, measurer, store, lambda: options, print, job)
 
 
 def test_one_bad_file_costs_only_itself_and_each_is_told_by_its_name(

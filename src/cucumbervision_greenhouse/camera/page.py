@@ -185,7 +185,7 @@ def walk(store: Store, round_key: str, source: str) -> dict[str, Any]:
     place, last = next_place([*stops, *waiting]), stops[-1] if stops else None
     aside = [x for x in resources.waiting().set_aside() if x.round_key == home]
     progress, action = tasks.progress(home), _last_action(store, home)
-    first = progress.first_words
+    first = progress.first
     if opened and home != opened and not first:  # the open round itself may have stops
         first = _("No photo in the round 'Demonstration' yet: each photo's result is shown here")
     return {
@@ -203,10 +203,10 @@ def walk(store: Store, round_key: str, source: str) -> dict[str, Any]:
         "rows": _rows([*stops, *waiting]),
         "from": last and {"key": last.key, **_place(last)},
         "sides": sides_of(stops),
-        "work": progress.told,
+        "work": progress.news,
         "first": first,
         "doubts": [
-            words_of(line) for x in rounds if x.key == home for line in round_view.doubts_of(x)
+            words_of(line) for x in rounds if x.key == home for line in round_view.view_of(x).doubts
         ],
         "aside": counted(
             len(aside),
@@ -299,8 +299,9 @@ def _pressed(sent: SentPress, open_rounds: set[str]) -> Pressed | str | None:
 
 
 def _begin(store: Store, sent: SentRound) -> dict[str, Any]:
-    profile = resources.settings().profile
-    record = Round(name=sent.name, house=sent.house, profile=profile)
+    # What an empty field shows is its name.
+    name, house = sent.name.strip() or _("Morning round"), sent.house.strip() or _("House 1")
+    record = Round(name=name, house=house, profile=resources.settings().profile)
     store.save_round(record)
     return {"round": record.key}
 
@@ -392,23 +393,21 @@ def _delete_stop(store: Store, key: str) -> str:
     return _("The last stop was deleted. 'Undo' on the row map brings it back")
 
 
-def _work(title: str, round_key: str, work: Callable[[Job], Any]) -> Job:
-    """Do work in its turn, since the networks serve one request at a time."""
-    job = resources.worker().submit(title, work, round_key)
-    job.wait()
-    return job
+def _work(title: str, round_key: str, work: Callable[[Job], Any]) -> Any:
+    """Do work in its turn, since the networks serve one request at a time; return its result."""
+    return resources.worker().submit(title, work, round_key).future.result()
 
 
 def _outline(_store: Store, asked: SentFruit) -> dict[str, Any]:
     """Return the outlines of the object at a point or in a box, as a preview."""
     record, capture = _picture_of(asked)
     measurer = resources.measurer()
-    job = _work(
+    mask = _work(
         marked("Outlining the fruit"),
         record.round_key,
         lambda _: measurer.draft_of(capture, asked.point, asked.box),
     )
-    return {"outline": mask_outline(job.result)}
+    return {"outline": mask_outline(mask)}
 
 
 def _prepare(_store: Store, asked: SentPicture) -> dict[str, Any]:
@@ -443,8 +442,8 @@ def _add_fruit(store: Store, asked: SentFruit) -> dict[str, Any]:
         mask = measurer.mask_of(capture, asked.point, asked.box)
         return measurer.add(store, record, capture, mask, options)
 
-    job = _work(marked("Measuring the fruit"), record.round_key, work)
-    return {"words": added_words(doubtful=store.detection(job.result).view.doubtful)}
+    key = _work(marked("Measuring the fruit"), record.round_key, work)
+    return {"words": added_words(doubtful=store.detection(key).view.doubtful)}
 
 
 def _correct_fruit(store: Store, asked: SentFruit, key: str) -> dict[str, Any]:
@@ -456,8 +455,8 @@ def _correct_fruit(store: Store, asked: SentFruit, key: str) -> dict[str, Any]:
         mask = measurer.mask_of(capture, asked.point, asked.box)
         return measurer.correct(store, detail, capture, mask, options)
 
-    job = _work(marked("Measuring with the new outline"), detail.view.round_key, work)
-    return {"job": job.number, "action": job.result}
+    title = marked("Measuring with the new outline")
+    return {"action": _work(title, detail.view.round_key, work)}
 
 
 def _picture_of(asked: SentPicture) -> tuple[StopRecord, Capture]:

@@ -31,7 +31,6 @@ from cucumbervision_greenhouse.rounds.fruit_table import (
     round_figures,
 )
 from cucumbervision_greenhouse.rounds.merge_and_link import DAY_S, row_counts
-from cucumbervision_greenhouse.store.records import FruitRow
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -98,12 +97,13 @@ def round_tables(
     provenance = _provenance(measured_with.values(), profile, called, len(content.stops))
     hashes = {key: _hashes(used) for key, used in measured_with.items()}
     today_s = day_0_s(view, now_s)
+    grades = {} if profile is None else grades_today(table, profile, forecast)
     lines: dict[str, Iterable[Any]] = {
         "summary": [_summary(view, content, table, forecast, called)],
         "rows": row_counts(content),
         "fruit": (
             {**line, "hashes": hashes.get(line["stop_key"])}
-            for line in _fruit_lines(table, profile, forecast)
+            for line in _fruit_lines(table, grades, forecast)
         ),
         "stops": (
             {"number": n, "stop": stop, "hashes": hashes.get(stop.key)}
@@ -120,6 +120,8 @@ def round_tables(
         walked=date_after(view.walked_s, 0).isoformat(),
         provenance=_about(view, provenance),
         tables={name: ExportTable.of(name, table_lines) for name, table_lines in lines.items()},
+        fruit=tuple((fruit, grades.get(fruit.key)) for fruit in table),
+        crop=profile.title if profile else called,
         bins=_length_bins([100 * x for x in hanging_lengths_m(table)]),
         note="no crop profile was named" if profile is None else "",
     )
@@ -193,7 +195,7 @@ def _summary(
 
 
 def _fruit_lines(
-    table: Sequence[FruitRow], profile: CropProfile | None, forecast: Forecast | None
+    table: Sequence[FruitRow], grades: Mapping[str, Grade], forecast: Forecast | None
 ) -> Iterator[Line]:
     """Return what the columns of each fruit lead through: its row, and its words."""
     ready: dict[str, float] = {}
@@ -201,7 +203,6 @@ def _fruit_lines(
         ids = (state.fruit_id for state in forecast.fruit)
         ready = dict(zip(ids, forecast.ready().tolist(), strict=True))
     today_m = lengths_today(forecast)
-    grades = {} if profile is None else grades_today(table, profile, forecast)
     for fruit in table:
         yield {
             **vars(fruit),
@@ -217,7 +218,7 @@ def _fruit_lines(
 
 def _grade_cells(graded: Grade | None) -> Line:
     if graded is None:
-        return dict.fromkeys(("grade", "grade_probability", "grade_rule", "mass_kg"))
+        return {}
     return {
         "grade": graded,
         "grade_probability": graded.probabilities.get(graded.name),
@@ -353,6 +354,10 @@ class RoundTables:
     tables : mapping of str to ExportTable
         'summary' (one row), 'rows', 'fruit', 'stops', 'forecast', 'picks', 'work' and
         'provenance', in this order.
+    fruit : tuple of (FruitRow, Grade or None)
+        The fruit of the table of that name.
+    crop : str
+        Title of the crop profile.
     bins : tuple of (from_cm, to_cm, fruit)
         Histogram of the lengths on the plant.
     note : str
@@ -363,6 +368,8 @@ class RoundTables:
     walked: str
     provenance: Mapping[str, Any]
     tables: Mapping[str, ExportTable]
+    fruit: tuple[tuple[FruitRow, Grade | None], ...] = ()
+    crop: str = ""
     bins: tuple[tuple[int, int, int], ...] = ()
     note: str = ""
 

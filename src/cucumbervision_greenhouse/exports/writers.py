@@ -2,75 +2,33 @@
 
 from __future__ import annotations
 
-import re
 from collections import Counter
-from collections.abc import Callable
-from dataclasses import dataclass
+from datetime import date
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-from cucumbervision.crop.grades import WITHOUT_CLASS
 from cucumbervision.errors import MissingExtraError, wrap_os_errors
 from cucumbervision.files import write_csv, write_json
 from cucumbervision.run.tables import Workbook, write_parquet
+from cucumbervision_greenhouse import words as texts
 from cucumbervision_greenhouse.exports import ExportFormat
-from cucumbervision_greenhouse.exports.build import ExportTable
-from cucumbervision_greenhouse.forecast.picking import PickKind, hours_words
+from cucumbervision_greenhouse.forecast.picking import PickKind
+from cucumbervision_greenhouse.language import day_month_words, language, marked, number_words
+from cucumbervision_greenhouse.language import gettext as _
+from cucumbervision_greenhouse.settings import Units
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Sequence
+    from collections.abc import Callable, Collection, Iterator, Sequence
 
     from jinja2 import Template
 
     from cucumbervision.run.fields import Cell
-    from cucumbervision_greenhouse.exports.build import RoundTables
+    from cucumbervision_greenhouse.exports.build import ExportTable, RoundTables
+    from cucumbervision_greenhouse.store.records import FruitRow
 
-
-@dataclass(frozen=True)
-class PageWords:
-    """The language of the printed page.
-
-    Parameters
-    ----------
-    code : str
-        Its code, as in HTML.
-    text : callable
-        Translates a text of the page, or of a table's cell, from English.
-    decimals : callable
-        Writes the decimal mark of a number that has a point.
-    day : callable
-        Writes a date that is given as in ISO 8601.
-    hours : callable
-        Writes hours of work.
-    crop : callable
-        Gives the title of a crop profile by its name.
-    inches : bool
-        Lengths are in inches and positions in feet, instead of in centimetres and metres.
-
-    Examples
-    --------
-    >>> PageWords().class_name("I"), PageWords().class_name("too long")
-    ('class I', 'too long')
-    """
-
-    code: str = "en"
-    text: Callable[[str], str] = str
-    decimals: Callable[[str], str] = str
-    day: Callable[[str], str] = str
-    hours: Callable[[float], str] = hours_words
-    crop: Callable[[str], str] = str
-    inches: bool = False
-
-    def class_name(self, name: str) -> str:
-        """Return the name of a class for people."""
-        if name in WITHOUT_CLASS:
-            return self.text(name)
-        return self.text("class {name}").format(name=name)
-
-
-ENGLISH = PageWords()
+_CENTIMETRES = Units()
 
 
 def write_exports(
@@ -78,7 +36,7 @@ def write_exports(
     out: Path,
     formats: Collection[ExportFormat] = tuple(ExportFormat),
     *,
-    words: PageWords = ENGLISH,
+    units: Units = _CENTIMETRES,
 ) -> list[Path]:
     """Write a round in one or more formats; files that are there are replaced when all are whole.
 
@@ -90,8 +48,8 @@ def write_exports(
         Output folder; created if missing.
     formats : collection of ExportFormat
         Formats to write.
-    words : PageWords
-        Language of the printed page; names and descriptions of columns stay English.
+    units : Units
+        Unit of lengths on the printed page. Its language is that of the pages; columns are English.
 
     Returns
     -------
@@ -110,7 +68,7 @@ def write_exports(
         ExportFormat.XLSX: _write_workbook,
         ExportFormat.PARQUET: _write_parquet,
         ExportFormat.JSON: _write_json_round,
-        ExportFormat.HTML: partial(_write_sheet, words=words),
+        ExportFormat.HTML: partial(_write_sheet, units=units),
     }
     with wrap_os_errors("cannot be written", out, "choose another folder, and close its files"):
         out.mkdir(parents=True, exist_ok=True)
@@ -222,35 +180,24 @@ def _printed(table: ExportTable) -> int:
 
 
 _FILLS = ("#2F6B3A", "#8BB174", "#D9D9D9", "#7A7A7A", "#C9A227", "#5B7DB1")
-_TIME = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ")
-_DIGITS = {"cm": 1, "mm": 1, "m": 2, "h": 1, "g": 0, "ml": 0, "deg": 0}
-_IN_INCHES = {"cm": ("in", 2.54, 2), "m": ("ft", 0.3048, 2)}
-"""Unit that is shown, its size in the column's unit, and its decimals."""
+_DIGITS = {"h": 1, "g": 0, "ml": 0, "deg": 0}
 _NUMBERS = (
-    *(
-        "ready_today",
-        "surely_ready",
-        "may_be_ready",
-        "fruit",
-        "picked",
-        "mean_length_cm",
-        "sd_length_cm",
-    ),
-    *("shortest_cm", "longest_cm", "measured", "rows", "stops", "failures"),
+    *("ready_today", "surely_ready", "may_be_ready", "fruit", "picked", "mean_length_cm"),
+    *("sd_length_cm", "shortest_cm", "longest_cm", "measured", "rows", "stops", "failures"),
 )
-
-
 _WORTH_SAYING = frozenset({"picked", "failures"})  # unless there are none
+# Words of cells, translated where they are printed.
+_KINDS = (marked("ready"), marked("may be ready"), marked("no crop profile was named"))
 
 
-def _write_sheet(tables: RoundTables, out: Path, words: PageWords) -> list[Path]:
+def _write_sheet(tables: RoundTables, out: Path, units: Units) -> list[Path]:
     path = out / "round.html"
-    path.write_text(render_sheet(tables, words), encoding="utf-8")
+    path.write_text(render_sheet(tables, units), encoding="utf-8")
     return [path]
 
 
-def render_sheet(tables: RoundTables, words: PageWords = ENGLISH) -> str:
-    """Return the printable page as self-contained HTML with escaped text, in a language.
+def render_sheet(tables: RoundTables, units: Units = _CENTIMETRES) -> str:
+    """Return the printable page as self-contained HTML with escaped text, in the language shown.
 
     Raises
     ------
@@ -262,8 +209,8 @@ def render_sheet(tables: RoundTables, words: PageWords = ENGLISH) -> str:
     house = [line for line in tables["forecast"].rows if line["scope"] == "house"]
     picks = tables["picks"].rows
     kinds = Counter(str(line["kind"]) for line in picks)
-    return _template(words).render(
-        language=words.code,
+    return _template(units).render(
+        language=language(),
         title=tables.title,
         about=tables.provenance,
         note=tables.note,
@@ -272,7 +219,7 @@ def render_sheet(tables: RoundTables, words: PageWords = ENGLISH) -> str:
             for name in _NUMBERS
             if summary[name] is not None and (summary[name] or name not in _WORTH_SAYING)
         ],
-        where=filter(None, (summary["house"], words.crop(str(summary["profile"] or "")))),
+        where=filter(None, (summary["house"], tables.crop and _(tables.crop))),
         walked=tables.walked,
         simulated=summary["simulated"],
         bins=tables.bins,
@@ -283,11 +230,20 @@ def render_sheet(tables: RoundTables, words: PageWords = ENGLISH) -> str:
         work=tables["work"].rows,
         picks=picks,
         kinds=[(kind, kinds[kind]) for kind in PickKind if kinds[kind]],
-        fruit=tables["fruit"].rows,
+        fruit=[
+            (row, "–" if graded is None else texts.grade_words(graded), _remarks(fruit, units))
+            for row, (fruit, graded) in zip(tables["fruit"].rows, tables.fruit, strict=True)
+        ],
     )
 
 
-def _template(words: PageWords) -> Template:
+def _remarks(fruit: FruitRow, units: Units) -> str:
+    picked = _("picked") if fruit.picked_s else ""
+    drawn = _("drawn, not grown") if fruit.simulated else ""
+    return "; ".join(filter(None, (picked, drawn, texts.remarks(fruit, units))))
+
+
+def _template(units: Units) -> Template:
     try:
         from jinja2 import Environment, PackageLoader, StrictUndefined
     except ModuleNotFoundError:
@@ -299,41 +255,27 @@ def _template(words: PageWords) -> Template:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.globals["_"] = words.text
+    environment.globals["_"] = _
     environment.filters.update(
-        figure=partial(_figure, words),
-        hours=partial(_hours, words),
-        unit=partial(_unit, words),
-        day=words.day,
-        words=lambda cell: "–" if cell is None else words.text(str(cell)),
-        class_name=words.class_name,
+        figure=partial(_figure, units),
+        # One time where both ends are written alike.
+        hours=lambda low, high: "–".join(
+            dict.fromkeys([texts.hours_words(low), texts.hours_words(high)])
+        ),
+        unit=lambda unit: {"cm": units.name, "m": units.along[0]}.get(unit, unit),
+        day=lambda day: day_month_words(date.fromisoformat(day)),
+        words=lambda cell: "–" if cell is None else _(str(cell)),
+        class_name=texts.class_words,
     )
     return environment.get_template("round.html")
 
 
-def _unit(words: PageWords, unit: str) -> str:
-    """Return the unit that the page shows for a column's."""
-    return _IN_INCHES[unit][0] if words.inches and unit in _IN_INCHES else unit
-
-
-def _hours(words: PageWords, low: float, high: float) -> str:
-    """Return an interval of hours; one length of time where both ends are written alike."""
-    return "–".join(dict.fromkeys([words.hours(low), words.hours(high)]))
-
-
-def _figure(words: PageWords, cell: Cell, unit: str = "") -> Any:
+def _figure(units: Units, cell: Cell, unit: str = "") -> Any:
     """Format a cell for the page."""
-    if cell is None:
-        return "–"
-    if isinstance(cell, bool):
-        return words.text("yes" if cell else "no")
-    if isinstance(cell, str) and _TIME.fullmatch(cell):
-        return cell.replace("T", " ").removesuffix("Z")
-    if words.inches and unit in _IN_INCHES and isinstance(cell, int | float):
-        _, size, digits = _IN_INCHES[unit]
-        return words.decimals(f"{(max(cell, 0.0) if unit == 'm' else cell) / size:.{digits}f}")
+    if isinstance(cell, int | float) and unit == "cm":
+        return number_words(units.value(cell / 100) or 0.0, units.digits)
+    if isinstance(cell, int | float) and unit == "m":
+        return texts.position_words(cell, units).split()[0]
     if isinstance(cell, float):
-        # A row begins at 0, as the pages show it, also where a fruit hangs before the first stop.
-        cell = max(cell, 0.0) if unit == "m" else cell
-        return words.decimals(f"{cell:.{_DIGITS.get(unit, 1)}f}")
-    return cell
+        return number_words(cell, _DIGITS.get(unit, 1))
+    return "–" if cell is None else cell

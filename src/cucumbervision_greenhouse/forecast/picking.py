@@ -238,17 +238,6 @@ class DayWork:
     complete: bool
 
 
-def hours_words(hours: float) -> str:
-    """Format hours of work; less than 1.5 hours as minutes.
-
-    Examples
-    --------
-    >>> hours_words(0.31), hours_words(3.24)
-    ('19 min', '3.2 h')
-    """
-    return f"{hours:.1f} h" if hours >= 1.5 else f"{math.ceil(60 * hours - 1e-9):d} min"
-
-
 def work(
     by_class: Mapping[str, float], rows: Iterable[float], rates: Rates
 ) -> tuple[float, dict[str, float]]:

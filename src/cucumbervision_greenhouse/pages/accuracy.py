@@ -19,12 +19,11 @@ from cucumbervision.accuracy.own_truth import (
     comparable,
     evaluate_lengths,
 )
-from cucumbervision.accuracy.truth import Line, Truth, parse_number, read_table, read_truth
-from cucumbervision.errors import TruthError
+from cucumbervision.accuracy.truth import Truth, read_truth
 from cucumbervision.methods.result import LengthDefinition
 from cucumbervision.methods.table import AVAILABLE
 from cucumbervision_greenhouse import resources, round_view
-from cucumbervision_greenhouse.language import counted, decimal_words, marked, number_words, plain
+from cucumbervision_greenhouse.language import decimal_words, number_words, plain
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.pages import calibrations, page_elements
 from cucumbervision_greenhouse.pages.page_elements import component
@@ -36,8 +35,9 @@ from cucumbervision_greenhouse.words import LENGTH_NAMES, length_words, position
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from cucumbervision_greenhouse.round_view import RoundView
     from cucumbervision_greenhouse.settings import Units
-    from cucumbervision_greenhouse.store.records import FruitRow, Round
+    from cucumbervision_greenhouse.store.records import CaptureRecord, FruitRow, StopRecord
     from cucumbervision_greenhouse.store.repository import Store
 
 
@@ -45,20 +45,19 @@ _LINES = 30
 
 
 @page_elements.of_round
-def page(round_summary: Round) -> None:
+def page(walk: RoundView) -> None:
     """Draw the page."""
-    graded = round_view.graded_round(round_summary)
-    fruit = [view for view in graded.fruit if view.length_m is not None]
+    fruit = [view for view in walk.fruit if view.length_m is not None]
     own_fruit, grid, saved = st.tabs([_("Own fruit"), _("Printed grid"), _("Calibrations")])
     with own_fruit:
-        _own_fruit(round_summary, fruit)
+        _own_fruit(walk.key, fruit)
     with grid:
-        calibrations.draw_grid(round_summary)
+        calibrations.draw_grid(walk.key)
     with saved:
         calibrations.draw_choice()
 
 
-def _own_fruit(round_summary: Round, fruit: list[FruitRow]) -> None:
+def _own_fruit(round_key: str, fruit: list[FruitRow]) -> None:
     if not fruit:
         st.info(_("This round has no measured fruit yet."), icon=":material/straighten:")
         return
@@ -69,10 +68,10 @@ def _own_fruit(round_summary: Round, fruit: list[FruitRow]) -> None:
             "first value: no method can be shown to be more accurate than the measurements by hand."
         )
     )
-    path = hand_file(resources.where(), round_summary.key)
+    path = hand_file(resources.where(), round_key)
     _table(fruit, path)
     if path.exists():
-        _scores(round_summary, path)
+        _scores(round_key, path)
 
 
 def _table(fruit: list[FruitRow], path: Path) -> None:
@@ -165,8 +164,8 @@ def _line(view: FruitRow, saved_m: tuple[float | None, float | None]) -> dict[st
     }
 
 
-def _scores(round_summary: Round, path: Path) -> None:
-    measured = measured_round(resources.store(), round_summary.key)
+def _scores(round_key: str, path: Path) -> None:
+    measured = measured_round(resources.store(), round_key)
     truth = truth_of(path, measured)
     if not truth.lengths:
         return
@@ -193,19 +192,11 @@ def bias_words(own_truth: OwnTruth, units: Units) -> str:
     if not errors_m:
         return _("None of these fruit has a length of the kind that was measured by hand.")
     mean_m, off_m = fmean(errors_m), fmean(map(abs, errors_m))
-    parts = {"mean": units.text(abs(mean_m)), "off": units.text(off_m)}
-    if mean_m > 0:
-        return counted(
-            len(errors_m),
-            "{n} fruit: measured {mean} too long on average; a single fruit is {off} off.",
-            "{n} fruit: measured {mean} too long on average; a single fruit is {off} off.",
-            **parts,
-        )
-    return counted(
-        len(errors_m),
-        "{n} fruit: measured {mean} too short on average; a single fruit is {off} off.",
-        "{n} fruit: measured {mean} too short on average; a single fruit is {off} off.",
-        **parts,
+    long, short = _("{mean} too long on average"), _("{mean} too short on average")
+    return _("{n} fruit: measured {error}; a single fruit is {off} off.").format(
+        n=len(errors_m),
+        error=(long if mean_m > 0 else short).format(mean=units.text(abs(mean_m))),
+        off=units.text(off_m),
     )
 
 
@@ -235,8 +226,6 @@ def _methods(own_truth: OwnTruth) -> None:
 
 _SLIP = 2.0  # ratio to the program's length from which a length by hand is questioned
 COLUMNS = ("capture", "fruit", "specimen", "length_1_cm", "length_2_cm", "kind")
-_READ = ("capture", "fruit", "length_1_cm", "length_2_cm")
-_RESTORE = marked("correct the file, or delete it and type the lengths again")
 LENGTHS = 0.5, 100.0
 """Shortest and longest length that can be typed, in the unit of the page."""
 
@@ -273,44 +262,36 @@ def measured_round(store: Store, round_key: str) -> Measured:
         Every detection that nobody deleted a reading, captures named after stop and capture; its
         report names the cameras, as calibration asks for.
     """
-    fruit = [v for v in store.detections(round_key) if v.verdict is not Verdict.REJECTED]
-    table = {line.key: line for line in fruit_table(read_round(store, round_key))}
-    captures: list[dict[str, Any]] = []
-    report: dict[str, Any] = {"captures": captures}
-    for key in dict.fromkeys(view.stop_key for view in fruit):
-        stop = store.stop(key)
-        for capture in stop.captures:
-            camera = dict(capture.camera)
-            for name in ("fx", "fy", "cx", "cy"):
-                camera[f"{name}_px"] = camera.pop(name)
-            captures.append(
-                {
-                    "name": f"{key}/{capture.name}",
-                    "intrinsics": camera,
-                    "provenance": dict(capture.provenance),
-                    "simulated": capture.simulated,
-                    "fruit": [],
-                }
-            )
-        report.update(_made_with(stop.artifacts))
+    content = read_round(store, round_key)
+    fruit = [view for view in content.views if view.verdict is not Verdict.REJECTED]
+    table = {line.key: line for line in fruit_table(content)}
+    stops = [content.stop_of[key] for key in dict.fromkeys(view.stop_key for view in fruit)]
+    captures = [_capture_lines(stop, capture) for stop in stops for capture in stop.captures]
+    report: dict[str, Any] = {"captures": captures, "models": []}
+    for artifact in stops[-1].artifacts if stops else ():
+        if artifact.kind == "model":
+            report["models"].append({"name": artifact.name, "sha256": artifact.sha256})
+        elif artifact.kind in ("config", "calibration"):
+            report |= {artifact.kind: dict(artifact.details)}
+        if artifact.kind == "config":
+            report["config_sha256"] = artifact.sha256
+        elif artifact.kind == "software":
+            report["software"] = artifact.name
     names = tuple(capture["name"] for capture in captures)
     asked = [n for n in AVAILABLE if n in report.get("config", {}).get("methods", [])]
     readings = tuple(_reading(view, table.get(view.key, view), asked) for view in fruit)
     return Measured(Path(f"round {round_key}"), readings, names, report)
 
 
-def _made_with(artifacts: Sequence[Any]) -> dict[str, Any]:
-    made_with: dict[str, Any] = {"models": []}
-    for artifact in artifacts:
-        if artifact.kind == "config":
-            made_with |= {"config": dict(artifact.details), "config_sha256": artifact.sha256}
-        elif artifact.kind == "software":
-            made_with["software"] = artifact.name
-        elif artifact.kind == "model":
-            made_with["models"].append({"name": artifact.name, "sha256": artifact.sha256})
-        elif artifact.kind == "calibration":
-            made_with["calibration"] = dict(artifact.details)
-    return made_with
+def _capture_lines(stop: StopRecord, capture: CaptureRecord) -> dict[str, Any]:
+    in_px = {"fx", "fy", "cx", "cy"}
+    return {
+        "name": f"{stop.key}/{capture.name}",
+        "intrinsics": {f"{k}_px" if k in in_px else k: x for k, x in capture.camera.items()},
+        "provenance": dict(capture.provenance),
+        "simulated": capture.simulated,
+        "fruit": [],
+    }
 
 
 def _reading(view: FruitRow, reported: FruitRow, asked: Sequence[str]) -> Reading:
@@ -360,25 +341,24 @@ def write_hand_lengths(
     text = io.StringIO()
     table = csv.writer(text)
     table.writerow(COLUMNS)
-    others = _lines_of_others(path, fruit)
-    table.writerows(others)
-    written = len(others)
+    here = {(capture_name(view), view.fruit) for view in fruit}
+    written = [
+        (x.capture, x.fruit, x.specimen, *_cells(x.lengths_m), x.kind)
+        for x in (read_truth(path).lengths if path.exists() else ())
+        if (x.capture, x.fruit) not in here
+    ]
     for view in fruit:
-        first, second = lengths.get(view.key, (None, None))
-        if first is None and second is None:
-            continue
-        cells = ["" if x is None else f"{100 * x:.2f}" for x in (first, second)]
-        table.writerow([capture_name(view), view.fruit, view.group, *cells, str(kind)])
-        written += 1
+        lengths_m = lengths.get(view.key, ())
+        if any(lengths_m):
+            place = capture_name(view), view.fruit, view.group
+            written.append((*place, *_cells(lengths_m), kind))
+    table.writerows(written)
     replace_text(path, text.getvalue())
-    return written
+    return len(written)
 
 
-def _lines_of_others(path: Path, fruit: Sequence[FruitRow]) -> list[list[str]]:
-    keys = {(capture_name(view), str(view.fruit)) for view in fruit}
-    lines = read_table(path, TruthError).lines if path.exists() else ()
-    cells = [[line.cells.get(name, "") for name in COLUMNS] for line in lines]
-    return [line for line in cells if (line[0], line[1]) not in keys]
+def _cells(lengths_m: Sequence[float | None]) -> list[str]:
+    return ["" if x is None else f"{100 * x:.2f}" for x in (*lengths_m, None)[:2]]
 
 
 def truth_of(path: Path, measured: Measured) -> Truth:
@@ -423,34 +403,13 @@ def hand_lengths(
     """
     if not path.exists():
         return {}
-    table = read_table(path, TruthError)
-    if missing := [name for name in _READ if name not in table.columns]:
-        raise TruthError(
-            "has no column {names}", source=path, remedy=_RESTORE, names=", ".join(missing)
-        )
-    keys = {(capture_name(view), str(view.fruit)): view.key for view in fruit}
+    keys = {(capture_name(view), view.fruit): view.key for view in fruit}
     lengths: dict[str, tuple[float | None, float | None]] = {}
-    for line in table.lines:
-        key = keys.get((line.cells["capture"], line.cells["fruit"]))
-        if key is not None:
-            first, second = (_cell_m(line, name, path) for name in _READ[2:])
+    for line in read_truth(path).lengths:
+        if key := keys.get((line.capture, line.fruit or 0)):
+            first, second, *_ = (*line.lengths_m, None)
             lengths[key] = first, second
     return lengths
-
-
-def _cell_m(line: Line, name: str, path: Path) -> float | None:
-    if not (cell := line.cells[name]):
-        return None
-    value_cm = parse_number(cell)
-    if value_cm is None or value_cm <= 0:
-        raise TruthError(
-            "line {number}: '{cell}' is no length",
-            source=path,
-            remedy=_RESTORE,
-            number=line.number,
-            cell=cell,
-        )
-    return value_cm / 100
 
 
 def typed_m(cell: str, units: Units) -> float | None:

@@ -15,7 +15,7 @@ from cucumbervision.about import LICENCE, installed_versions, source_offer
 from cucumbervision.errors import AccessError, CucumberVisionError
 from cucumbervision_greenhouse import resources, tasks
 from cucumbervision_greenhouse.language import gettext as _
-from cucumbervision_greenhouse.language import marked, plain
+from cucumbervision_greenhouse.language import language, marked, plain
 from cucumbervision_greenhouse.pages import (
     accuracy,
     days,
@@ -35,7 +35,8 @@ _KEPT_INPUTS = ("round", "color_by", "list_page", "pick_row")
 _WITH_FRUIT = ("", "results")  # keyboard focus goes to their lists at once
 
 _ICON = Path(__file__).parents[1] / "camera/static/icon.svg"
-_HEAD = """<div class="head"><h1 class="quiet">{title}</h1><a class="brand" href="{home}"
+_HEAD = """<script>document.documentElement.lang = "{language}"</script>
+<div class="head"><h1 class="quiet">{title}</h1><a class="brand" href="{home}"
 target="_self">CucumberVision</a><span class="house">{house}</span></div>"""
 
 
@@ -97,7 +98,7 @@ def _draw_navigation(pages: list[st.Page], chosen: st.Page) -> None:
         st.html(f'<a class="skip" href="#list">{_("To the fruit")}</a>')
     st.set_page_config(page_title=f"{chosen.title} · CucumberVision")
     with st.container(key="head", horizontal=True):
-        st.html(_head(chosen.title), width="content")
+        st.html(_head(chosen.title), width="content", unsafe_allow_javascript=True)
         with st.container(horizontal=True, key="nav", gap="small"):
             for page in pages[:-1]:
                 st.page_link(page, label=page.title, query_params=page_elements.here())
@@ -109,6 +110,7 @@ def _head(title: str) -> str:
     rounds = [resources.store().round(opened)] if opened else resources.rounds()
     house = next((x.house for x in rounds if x is not None), "")
     parts = {
+        "language": language(),
         "home": escape(f"/?{urlencode(page_elements.here())}"),
         "house": escape(house),
         "title": escape(title),

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import streamlit as st
 
 from cucumbervision.accuracy.calibration_file import (
     Form,
+    SiteCalibration,
     read_site_calibration,
     write_site_calibration,
 )
@@ -27,15 +27,12 @@ from cucumbervision_greenhouse.rounds.adding import stored_capture
 from cucumbervision_greenhouse.settings import truth_folder
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable
 
-    from cucumbervision.accuracy.calibration_file import SiteCalibration
     from cucumbervision.accuracy.own_truth import Measured
     from cucumbervision.accuracy.truth import Truth
-    from cucumbervision.capture.frames import Capture
     from cucumbervision.methods.result import LengthDefinition
     from cucumbervision_greenhouse.settings import Units
-    from cucumbervision_greenhouse.store.records import Round
     from cucumbervision_greenhouse.store.repository import Store
 
 
@@ -49,7 +46,7 @@ def draw_own_fruit(measured: Measured, truth: Truth) -> None:
     _make(label, lambda: calibrate_lengths(measured, truth, name.strip()))
 
 
-def draw_grid(round_summary: Round) -> None:
+def draw_grid(round_key: str) -> None:
     """Draw the form that calibrates a camera with a round's pictures of a printed grid."""
     st.write(
         _(
@@ -62,7 +59,7 @@ def draw_grid(round_summary: Round) -> None:
 
     def calibrate() -> SiteCalibration:
         store = resources.store()
-        return calibrate_by_grid(store, round_summary.key, spacing_mm / 1000, name.strip())
+        return calibrate_by_grid(store, round_key, spacing_mm / 1000, name.strip())
 
     _make(_("Calibrate with the pictures of this round"), calibrate)
 
@@ -139,19 +136,8 @@ def _use(path: str) -> None:
 _SUFFIX = ".calibration.json"
 
 
-@dataclass(frozen=True)
-class SavedCalibration:
-    """A calibration file.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    site : SiteCalibration, optional
-        Its content; None if it cannot be read.
-    fault : str
-        Why not.
-    """
+class SavedCalibration(NamedTuple):
+    """A calibration file: its content, or None and why it cannot be read."""
 
     path: Path
     site: SiteCalibration | None
@@ -211,23 +197,14 @@ def effect_words(site: SiteCalibration, length: LengthDefinition, units: Units) 
     words = []
     if site.depth_scale is not None:
         percent = 100 * (site.depth_scale.value - 1)
+        long, short = _("{percent} % too long"), _("{percent} % too short")
+        error = (long if percent > 0 else short).format(percent=number_words(abs(percent), 1))
         words.append(
             counted(
                 site.depth_scale.captures,
-                "The camera reads {percent} % too long; that is taken out ({n} picture of a "
-                "printed grid).",
-                "The camera reads {percent} % too long; that is taken out ({n} pictures of a "
-                "printed grid).",
-                percent=number_words(abs(percent), 1),
-            )
-            if percent > 0
-            else counted(
-                site.depth_scale.captures,
-                "The camera reads {percent} % too short; that is taken out ({n} picture of a "
-                "printed grid).",
-                "The camera reads {percent} % too short; that is taken out ({n} pictures of a "
-                "printed grid).",
-                percent=number_words(abs(percent), 1),
+                "The camera reads {error}; that is taken out ({n} picture of a printed grid).",
+                "The camera reads {error}; that is taken out ({n} pictures of a printed grid).",
+                error=error,
             )
         )
     entry = site.entry(calibration_key(MethodName.M6, length), length)
@@ -263,17 +240,14 @@ def calibrate_by_grid(store: Store, round_key: str, spacing_m: float, name: str)
     CalibrationError
         If the round was measured with a calibration, shows no grid, or has several cameras.
     """
-    return calibrate_camera(_grid_captures(store, round_key), spacing_m, name)
-
-
-def _grid_captures(store: Store, round_key: str) -> Iterator[Capture]:
-    for summary in store.stops(round_key):
-        stop = store.stop(summary.key)
-        if any(artifact.kind == "calibration" for artifact in stop.artifacts):
-            raise CalibrationError(
-                "these pictures were measured with a calibration, which changed their depth",
-                source=Message("this round"),
-                remedy="choose no calibration, begin a round and take pictures of the grid again",
-            )
-        for record in stop.captures:
-            yield stored_capture(store.images, record, stop)
+    stops = [store.stop(stop.key) for stop in store.stops(round_key)]
+    if any(artifact.kind == "calibration" for stop in stops for artifact in stop.artifacts):
+        raise CalibrationError(
+            "these pictures were measured with a calibration, which changed their depth",
+            source=Message("this round"),
+            remedy="choose no calibration, begin a round and take pictures of the grid again",
+        )
+    captures = (
+        stored_capture(store.images, record, stop) for stop in stops for record in stop.captures
+    )
+    return calibrate_camera(captures, spacing_m, name)

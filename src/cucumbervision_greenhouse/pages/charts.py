@@ -15,11 +15,12 @@ import streamlit as st
 from altair.utils.schemapi import disable_debug_mode
 
 from cucumbervision.crop.grades import class_name
+from cucumbervision_greenhouse import words as texts
+from cucumbervision_greenhouse.forecast.picking import Span
 from cucumbervision_greenhouse.fruit_pictures import CLASS_GREENS, OTHER_COLORS
 from cucumbervision_greenhouse.language import date_names, day_month_words
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.theme import ink
-from cucumbervision_greenhouse.words import class_words, expected_classes, forecast_day, label_words
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
     from cucumbervision_greenhouse.settings import Units
 
 # Checking each chart against Altair's schema takes longer than all other work of a page, and Vega
-# reports faults itself. For the same reason channels are named instead of parsed from strings.
+# reports faults itself.
 disable_debug_mode()
 
 _WEEKDAYS = 14  # days that have room for their weekday
@@ -48,12 +49,9 @@ def _class_colors(names: Iterable[str]) -> alt.Scale:
     other_names = [name for name in OTHER_COLORS if name in present]
     greens = [CLASS_GREENS[min(k, len(CLASS_GREENS) - 1)] for k in range(len(classes))]
     return alt.Scale(
-        domain=[label_words(name) for name in (*classes, *other_names)],
+        domain=[texts.label_words(name) for name in (*classes, *other_names)],
         range=[*greens, *(OTHER_COLORS[name] for name in other_names)],
     )
-
-
-_BELOW = alt.Legend(orient="bottom", columns=3)  # where a phone has space for it
 
 
 def _ink() -> str:
@@ -62,7 +60,17 @@ def _ink() -> str:
 
 
 def _color_of_class(names: Iterable[str]) -> alt.Color:
-    return alt.Color("class:N", scale=_class_colors(names), title=None, legend=_BELOW)
+    below = alt.Legend(orient="bottom", columns=3)  # where a phone has space for it
+    return alt.Color("class:N", scale=_class_colors(names), title=None, legend=below)
+
+
+def _tips(**titles: str) -> list[alt.Tooltip]:
+    return [alt.Tooltip(f"{name}:N", title=title) for name, title in titles.items()]
+
+
+def _chart(lines: list[dict[str, Any]]) -> alt.Chart:
+    # Sent as a table, since values within the chart's description are slow.
+    return alt.Chart(pa.Table.from_pylist(lines))
 
 
 def _readable(chart: Any, height_px: int) -> Any:
@@ -73,7 +81,7 @@ def _readable(chart: Any, height_px: int) -> Any:
     return chart.configure_legend(labelColor=color)
 
 
-def histogram(lines: list[dict[str, Any]], units: Units) -> alt.LayerChart:
+def histogram(lines: list[dict[str, Any]], units: Units) -> Any:
     """Return a histogram by class, with a line at the mean and a band of one standard deviation."""
     step = (1.0 if len(lines) >= _MANY else 2.0) / (1 if units.name == "cm" else 2)
     lengths = np.array([line["length"] for line in lines], np.float64)
@@ -81,96 +89,52 @@ def histogram(lines: list[dict[str, Any]], units: Units) -> alt.LayerChart:
     # Counted here, so that the browser gets a few dozen bars whatever the number of fruit.
     counted = Counter((math.floor(line["length"] / step), line["class"]) for line in lines)
     table = [
-        {"from": k * step, "to": (k + 1) * step, "class": label_words(name), "fruit": number}
+        {"from": k * step, "to": (k + 1) * step, "class": texts.label_words(name), "fruit": number}
         for (k, name), number in sorted(counted.items())
     ]
+    title, scale = _("Length [{unit}]").format(unit=units.name), alt.Scale(zero=False)
     bars = (
-        alt.Chart(_data(table))
+        _chart(table)
         .mark_bar(stroke="white")
         .encode(
-            x=alt.X(
-                "from:Q",
-                bin="binned",
-                title=_("Length [{unit}]").format(unit=units.name),
-                scale=alt.Scale(zero=False),
-            ),
-            x2=alt.X2("to:Q"),
+            x=alt.X("from:Q", bin="binned", title=title, scale=scale),
+            x2="to:Q",
             y=alt.Y("fruit:Q", title=_("Fruit"), axis=alt.Axis(tickMinStep=1, format="d")),
             color=_color_of_class(x["class"] for x in lines),
-            tooltip=[
-                alt.Tooltip("fruit:Q", title=_("Fruit")),
-                alt.Tooltip("class:N", title=_("Class")),
-            ],
+            tooltip=_tips(**{"fruit": _("Fruit"), "class": _("Class")}),
         )
     )
-    spread = _data([{"low": mean - sd, "high": mean + sd, "mean": mean}])
-    band = (
-        alt.Chart(spread)
-        .mark_rect(opacity=0.12, color=_ink())
-        .encode(x=alt.X("low:Q"), x2=alt.X2("high:Q"))
-    )
-    line = alt.Chart(spread).mark_rule(color=_ink(), strokeWidth=2).encode(x=alt.X("mean:Q"))
-    chart: alt.LayerChart = _readable(band + bars + line, 260)
-    return chart
+    spread = _chart([{"low": mean - sd, "high": mean + sd, "mean": mean}])
+    band = spread.mark_rect(opacity=0.12, color=_ink()).encode(x="low:Q", x2="high:Q")
+    line = spread.mark_rule(color=_ink(), strokeWidth=2).encode(x="mean:Q")
+    return _readable(band + bars + line, 260)
 
 
-def _data(lines: list[dict[str, Any]]) -> Any:
-    # Sent as a table, since values within the chart's description are slow.
-    return pa.Table.from_pylist(lines)
-
-
-def forecast_chart(prediction: Forecast) -> alt.LayerChart:
+def forecast_chart(prediction: Forecast) -> Any:
     """Return the expected number in each class on each day, with its interval."""
-    drawn = expected_classes(prediction)
-    share = 0.8 / max(len(drawn), 1)  # of a day, which is 1 wide
-    lines = [
-        {
-            "day": forecast_day(prediction, day),
-            "class": class_words(prediction.classes[k]),
-            "from": day - 0.4 + n * share,
-            "to": day - 0.4 + (n + 0.85) * share,
-            "middle": day - 0.4 + (n + 0.425) * share,
-            "floor": 0.0,
-            "expected": float(prediction.house.expected[day, k]),
-            "low": float(prediction.house.low[day, k]),
-            "high": float(prediction.house.high[day, k]),
-        }
-        for day in prediction.days.tolist()
-        for n, k in enumerate(drawn)
-    ]
-    names = [class_name(prediction.classes[k]) for k in drawn]
-    days = prediction.days.tolist()
-    label_expression = (
-        " : ".join(f"datum.value == {day} ? '{forecast_day(prediction, day)}'" for day in days)
-        + " : ''"
+    drawn, house = texts.expected_classes(prediction), prediction.house
+    labels = {k: texts.class_words(prediction.classes[k]) for k in drawn}
+    lines = []
+    for day in prediction.days.tolist():
+        for k in drawn:
+            span = Span(*(float(x[day, k]) for x in (house.expected, house.low, house.high)))
+            words = {"day": texts.forecast_day(prediction, day), "class": labels[k]}
+            lines.append({**words, **vars(span), "likely": texts.span_words(span)})
+    axis = alt.Axis(labelAngle=0, labelOverlap=True)
+    base = _chart(lines).encode(
+        x=alt.X("day:O", title=_("Day"), sort=None, axis=axis),
+        xOffset=alt.XOffset("class:N", sort=list(labels.values())),
     )
-    axis = alt.Axis(
-        values=days, labelExpr=label_expression, labelAngle=0, labelOverlap=True, grid=False
-    )
-    ends = alt.Scale(domain=[-0.5, days[-1] + 0.5], nice=False)
-    base = alt.Chart(_data(lines))
     bars = base.mark_bar().encode(
-        x=alt.X("from:Q", title=_("Day"), axis=axis, scale=ends),
-        x2=alt.X2("to:Q"),
         y=alt.Y("expected:Q", title=_("Fruit")),
-        y2=alt.Y2("floor:Q"),
-        color=_color_of_class(names),
-        tooltip=[
-            alt.Tooltip("day:N", title=_("Day")),
-            alt.Tooltip("class:N", title=_("Class")),
-            alt.Tooltip("expected:Q", title=_("Expected"), format=".0f"),
-            alt.Tooltip("low:Q", title=_("Likely from"), format=".0f"),
-            alt.Tooltip("high:Q", title=_("to"), format=".0f"),
-        ],
+        color=_color_of_class(class_name(prediction.classes[k]) for k in drawn),
+        tooltip=_tips(**{"day": _("Day"), "class": _("Class"), "likely": _("Expected")}),
     )
-    whiskers = base.mark_rule(strokeWidth=2, color=_ink()).encode(
-        x=alt.X("middle:Q"), y=alt.Y("low:Q"), y2=alt.Y2("high:Q")
-    )
-    chart: alt.LayerChart = _readable(bars + whiskers, 320)
-    return chart
+    whiskers = base.mark_rule(strokeWidth=2, color=_ink()).encode(y="low:Q", y2="high:Q")
+    return _readable(bars + whiskers, 320)
 
 
-def trend_chart(lines: list[dict[str, Any]]) -> alt.Chart:
+def trend_chart(lines: list[dict[str, Any]]) -> Any:
     """Return the fruit of each day, by class; days without a round stay empty.
 
     Parameters
@@ -178,29 +142,28 @@ def trend_chart(lines: list[dict[str, Any]]) -> alt.Chart:
     lines : list of dict
         'day' (ISO 8601), 'class' and 'fruit'.
     """
-    days = {line["day"] for line in lines}
-    names = [line["class"] for line in lines]
-    lines = [{**line, "class": label_words(line["class"])} for line in lines]
-    for line in lines:
-        line["when"] = day_month_words(date.fromisoformat(line["day"]))
-        line["day"] += "T00:00"  # browsers read a date alone as one in UTC
-    axis = _day_axis(weekday=len(days) <= _WEEKDAYS)
+    table = [
+        {
+            # Browsers read a date alone as one in UTC.
+            "day": f"{line['day']}T00:00",
+            "when": day_month_words(date.fromisoformat(line["day"])),
+            "class": texts.label_words(line["class"]),
+            "fruit": line["fruit"],
+        }
+        for line in lines
+    ]
+    axis = _day_axis(weekday=len({line["day"] for line in lines}) <= _WEEKDAYS)
     bars = (
-        alt.Chart(_data(lines))
+        _chart(table)
         .mark_bar()
         .encode(
             x=alt.X("day:T", timeUnit="yearmonthdate", title=None, axis=axis),
             y=alt.Y("fruit:Q", title=_("Fruit"), axis=alt.Axis(format="d")),
-            color=_color_of_class(names),
-            tooltip=[
-                alt.Tooltip("when:N", title=_("Day")),
-                alt.Tooltip("class:N", title=_("Class")),
-                alt.Tooltip("fruit:Q", title=_("Fruit")),
-            ],
+            color=_color_of_class(line["class"] for line in lines),
+            tooltip=_tips(**{"when": _("Day"), "class": _("Class"), "fruit": _("Fruit")}),
         )
     )
-    chart: alt.Chart = _readable(bars, 260)
-    return chart
+    return _readable(bars, 260)
 
 
 def _day_axis(*, weekday: bool = True, **options: Any) -> alt.Axis:
@@ -212,7 +175,7 @@ def _day_axis(*, weekday: bool = True, **options: Any) -> alt.Axis:
     return alt.Axis(labelExpr=words, labelOverlap=True, **options)
 
 
-def growth_chart(lines: list[dict[str, Any]], units: Units) -> alt.LayerChart:
+def growth_chart(lines: list[dict[str, Any]], units: Units) -> Any:
     """Return the length of one fruit on its days, with intervals.
 
     Parameters
@@ -226,13 +189,11 @@ def growth_chart(lines: list[dict[str, Any]], units: Units) -> alt.LayerChart:
     lines = [
         {**line, "when": day_month_words(datetime.fromisoformat(line["at"]))} for line in lines
     ]
-    axis = _day_axis(tickCount="day")
-    base = alt.Chart(_data(lines)).encode(x=alt.X("at:T", title=None, axis=axis))
+    base = _chart(lines).encode(x=alt.X("at:T", title=None, axis=_day_axis(tickCount="day")))
     point = alt.OverlayMarkDef(color=CLASS_GREENS[0], size=80)
     points = base.mark_line(point=point, color=CLASS_GREENS[0]).encode(
         y=alt.Y("length:Q", title=title, scale=alt.Scale(zero=False)),
-        tooltip=[alt.Tooltip("when:N", title=_("Day")), alt.Tooltip("length:Q", title=title)],
+        tooltip=_tips(when=_("Day"), length=title),
     )
     whiskers = base.mark_rule(color=_ink()).encode(y=alt.Y("low:Q", title=title), y2="high:Q")
-    chart: alt.LayerChart = _readable(whiskers + points, 220)
-    return chart
+    return _readable(whiskers + points, 220)

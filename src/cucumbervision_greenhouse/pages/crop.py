@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import unicodedata
-from collections import Counter
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import streamlit as st
 
 from cucumbervision.capture.source import safe_name
-from cucumbervision.crop.grades import grade
 from cucumbervision.crop.profiles import CropProfile, profiles, profiles_folder
 from cucumbervision.errors import CucumberVisionError, Message, ProfileError
 from cucumbervision.files import parse_model
@@ -24,10 +21,8 @@ from cucumbervision_greenhouse.settings import replace_text
 from cucumbervision_greenhouse.words import class_words, label_words, round_name
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Sequence
     from pathlib import Path
-
-    from cucumbervision_greenhouse.store.records import FruitRow
 
 
 def draw() -> None:
@@ -76,14 +71,15 @@ def _limits(profile: CropProfile) -> None:
 
 def _form(name: str, profile: CropProfile, *, own: bool) -> None:
     """Draw the limits as fields, what they would change, and the button that saves them."""
-    limits = _fields(name, profile)
+    key = f"limits_{name}_{hash(profile.model_dump_json())}"  # new fields where it was changed
+    limits = _fields(key, profile)
     title = st.text_input(
         _("Name of your crop"),
         profile.title if own else _("{crop}, own limits").format(crop=_(profile.title)),
-        key=f"{_key(name, profile)}_title",
+        key=f"{key}_title",
     )
     try:
-        changed = limits.applied_to(profile, title.strip())
+        changed = with_limits(profile, title=title.strip(), **limits)
     except CucumberVisionError as error:
         st.error(sentence(error), icon=":material/error:")
         return
@@ -118,65 +114,47 @@ def _form(name: str, profile: CropProfile, *, own: bool) -> None:
     )
 
 
-def _key(name: str, profile: CropProfile) -> str:
-    """Return what the keys of a crop's fields begin with: others where its limits were changed."""
-    return f"limits_{name}_{hash(CropLimits.of(profile))}"
-
-
-def _fields(name: str, profile: CropProfile) -> CropLimits:
-    """Draw the limits of a profile as fields, and return what they hold."""
-    limits, key = CropLimits.of(profile), _key(name, profile)
-    edges_m = _edge_fields(key, profile, limits)
+def _fields(key: str, profile: CropProfile) -> dict[str, Any]:
+    """Draw the limits of a profile as fields, and return what they hold, for `with_limits`."""
+    edges_m = _edge_fields(key, profile)
     arcs = [
         st.number_input(
-            sentence(
-                _("{shape} up to [mm of arc for 10 cm]").format(shape=_(profile.shape[number].name))
-            ),
-            *page_elements.spanning(0.5, 100.0, arc),
+            sentence(_("{shape} up to [mm of arc for 10 cm]").format(shape=_(band.name))),
+            *page_elements.spanning(0.5, 100.0, band.max_mm_per_10cm),
             0.5,
             format="%.1f",
             key=f"{key}_arc_{number}",
         )
-        for number, arc in enumerate(limits.arc_mm_per_10cm)
+        for number, band in enumerate(profile.shape)
+        if band.max_mm_per_10cm is not None
     ]
-    thin, light = st.columns(2)
-    diameter_mm = thin.number_input(
-        _("Thinnest [mm]; 0: no limit"),
-        *page_elements.spanning(0.0, 200.0, limits.minimum_diameter_mm or 0.0),
-        1.0,
-        format="%.0f",
-        key=f"{key}_thin",
-    )
-    weight_g = light.number_input(
-        _("Lightest [g]; 0: no limit"),
-        *page_elements.spanning(0.0, 5000.0, limits.minimum_g or 0.0),
-        10.0,
-        format="%.0f",
-        key=f"{key}_light",
-    )
-    decide = st.toggle(
-        _("Thickness and weight decide on the class"), limits.decide, key=f"{key}_decide"
-    )
-    names = [c.name for c in profile.classes]
+    smallest = {}
+    for column, (limit, label, most, step) in zip(
+        st.columns(2),
+        (
+            ("minimum_diameter_mm", _("Thinnest [mm]; 0: no limit"), 200.0, 1.0),
+            ("minimum_g", _("Lightest [g]; 0: no limit"), 5000.0, 10.0),
+        ),
+        strict=True,
+    ):
+        how: dict[str, Any] = {"format": "%.0f", "key": f"{key}_{limit}"}
+        span = page_elements.spanning(0.0, most, getattr(profile, limit) or 0.0)
+        smallest[limit] = column.number_input(label, *span, step, **how) or None
+    words = _("Thickness and weight decide on the class")
+    decide = st.toggle(words, profile.size_rules == "decide", key=f"{key}_decide")
     pick = st.pills(
         _("Ready to be picked"),
-        names,
+        [c.name for c in profile.classes],
         format_func=lambda name: plain(class_words(name)),
         selection_mode="multi",
-        default=limits.pick,
+        default=profile.pick,
         key=f"{key}_pick",
     )
-    return CropLimits(
-        edges_m=edges_m,
-        pick=tuple(pick),
-        arc_mm_per_10cm=tuple(arcs),
-        minimum_diameter_mm=diameter_mm or None,
-        minimum_g=weight_g or None,
-        decide=decide,
-    )
+    rules = {"pick": pick, "size_rules": "decide" if decide else "remark"}
+    return {"edges_m": edges_m, "arcs": arcs, **smallest, **rules}
 
 
-def _edge_fields(key: str, profile: CropProfile, limits: CropLimits) -> tuple[float, ...]:
+def _edge_fields(key: str, profile: CropProfile) -> list[float]:
     """Draw the lengths between the classes two abreast, and return them in metres."""
     units = resources.settings().units
     names = [class_words(c.name) for c in sorted(profile.classes, key=lambda c: c.min_cm)]
@@ -184,7 +162,7 @@ def _edge_fields(key: str, profile: CropProfile, limits: CropLimits) -> tuple[fl
     labels.append(_("{name} below").format(name=names[-1]))
     places = [place for _pair in labels[::2] for place in st.columns(2)]
     edges_m = []
-    for number, (place, edge_m) in enumerate(zip(places, limits.edges_m, strict=False)):
+    for number, (place, edge_m) in enumerate(zip(places, profile.edges_m.tolist(), strict=False)):
         shown = units.value(edge_m) or 0.0
         value = place.number_input(
             sentence(f"{labels[number]} [{units.name}]"),
@@ -195,7 +173,7 @@ def _edge_fields(key: str, profile: CropProfile, limits: CropLimits) -> tuple[fl
         )
         # A limit that was not changed is not rounded as it is shown in inches.
         edges_m.append(edge_m if value == shown else units.metres(float(value or 0.0)))
-    return tuple(edges_m)
+    return edges_m
 
 
 def _preview(profile: CropProfile, changed: CropProfile) -> None:
@@ -203,8 +181,8 @@ def _preview(profile: CropProfile, changed: CropProfile) -> None:
     newest = next((x for x in resources.rounds() if x.fruit), None)
     if newest is None:
         return
-    fruit = on_the_plant(round_view.graded_round(newest).fruit)
-    before, after = class_counts(fruit, profile), class_counts(fruit, changed)
+    fruit = on_the_plant(round_view.view_of(newest).fruit)
+    before, after = (round_view.class_counts(fruit, x) for x in (profile, changed))
     lines = [
         {
             _("Class"): label_words(label),
@@ -220,94 +198,56 @@ def _preview(profile: CropProfile, changed: CropProfile) -> None:
 _OWN_RULE = marked("limits of this house")
 
 
-@dataclass(frozen=True)
-class CropLimits:
-    """The limits of a crop's classes.
+def with_limits(
+    profile: CropProfile,
+    *,
+    title: str = "",
+    edges_m: Sequence[float] = (),
+    arcs: Sequence[float] = (),
+    **limits: object,
+) -> CropProfile:
+    """Return a profile with other limits.
 
     Parameters
     ----------
-    edges_m : tuple of float
+    profile : CropProfile
+        The profile.
+    title : str
+        The new one's title.
+    edges_m : sequence of float
         Lengths between the classes, metres, ascending: the lower limit of each class from the
         shortest to the longest, and the upper limit of the last.
-    pick : tuple of str
-        Classes that are ready to be picked.
-    arc_mm_per_10cm : tuple of float
-        Highest inner arc of each band of crookedness but the last, ascending.
-    minimum_diameter_mm, minimum_g : float, optional
-        Thinnest and lightest fruit of any class; None for no limit.
-    decide : bool
-        Whether diameter and weight decide on the class instead of adding a remark.
+    arcs : sequence of float
+        Highest inner arc of each band of crookedness but the last, mm for 10 cm, ascending.
+    **limits
+        'pick', 'minimum_diameter_mm', 'minimum_g' and 'size_rules', as in `CropProfile`. What is
+        not given stays.
+
+    Raises
+    ------
+    ProfileError
+        If the limits do not rise, no class is picked, or they contradict the profile.
+
+    Examples
+    --------
+    >>> from cucumbervision.crop.profiles import load_profile
+    >>> short = with_limits(load_profile("long-cucumber"), edges_m=(0.18, 0.22, 0.30))
+    >>> [(c.name, c.min_cm, c.max_cm) for c in short.classes]
+    [('I', 22.0, 30.0), ('II', 18.0, 22.0)]
     """
-
-    edges_m: tuple[float, ...]
-    pick: tuple[str, ...]
-    arc_mm_per_10cm: tuple[float, ...] = ()
-    minimum_diameter_mm: float | None = None
-    minimum_g: float | None = None
-    decide: bool = False
-
-    @classmethod
-    def of(cls, profile: CropProfile) -> CropLimits:
-        """Return the limits of a profile.
-
-        Examples
-        --------
-        >>> from cucumbervision.crop.profiles import load_profile
-        >>> limits = CropLimits.of(load_profile("long-cucumber"))
-        >>> limits.edges_m, limits.pick, limits.arc_mm_per_10cm, limits.minimum_g
-        ((0.2, 0.25, 0.35), ('I',), (10.0, 20.0), 250.0)
-        """
-        arcs = [band.max_mm_per_10cm for band in profile.shape]
-        return cls(
-            edges_m=tuple(profile.edges_m.tolist()),
-            pick=profile.pick,
-            arc_mm_per_10cm=tuple(arc for arc in arcs if arc is not None),
-            minimum_diameter_mm=profile.minimum_diameter_mm,
-            minimum_g=profile.minimum_g,
-            decide=profile.size_rules == "decide",
-        )
-
-    def applied_to(self, profile: CropProfile, title: str = "") -> CropProfile:
-        """Return a profile with these limits instead of its own.
-
-        Parameters
-        ----------
-        profile : CropProfile
-            With as many classes, and as many limits of crookedness.
-        title : str
-            The new profile's title; the old one's where it is empty.
-
-        Raises
-        ------
-        ProfileError
-            If the limits do not rise, no class is picked, or they contradict the profile.
-        """
-        if list(self.edges_m) != sorted(set(self.edges_m)):
-            raise ProfileError("the lengths do not rise", remedy="give each class a longer limit")
-        if not self.pick:
-            raise ProfileError("no class is ready to be picked", remedy="choose at least one")
-        names = [c.name for c in sorted(profile.classes, key=lambda c: c.min_cm)]
-        edges_cm = [round(100 * edge_m, 3) for edge_m in self.edges_m]
-        limits = {name: edges_cm[k : k + 2] for k, name in enumerate(names)}
-        content = profile.model_dump(mode="json", exclude_none=True)
-        for length_class in content["classes"]:
-            length_class["min_cm"], length_class["max_cm"] = limits[length_class["name"]]
-        for band, arc in zip(content["shape"], self.arc_mm_per_10cm, strict=False):
-            band["max_mm_per_10cm"] = arc
-        optional = {"minimum_diameter_mm": self.minimum_diameter_mm, "minimum_g": self.minimum_g}
-        content |= {
-            "title": title or profile.title,
-            "pick": list(self.pick),
-            "size_rules": "decide" if self.decide else "remark",
-            "rules": {**profile.rules, "classes": _OWN_RULE},
-            **optional,
-        }
-        return parse_model(CropProfile, content, source=Message("the limits"), error=ProfileError)
-
-
-def class_counts(views: Iterable[FruitRow], profile: CropProfile) -> Counter[str]:
-    """Return how many fruit are in each class by a profile."""
-    return Counter(grade(view, profile).label for view in views)
+    if list(edges_m) != sorted(set(edges_m)):
+        raise ProfileError("the lengths do not rise", remedy="give each class a longer limit")
+    if not limits.get("pick", profile.pick):
+        raise ProfileError("no class is ready to be picked", remedy="choose at least one")
+    content = profile.model_dump(mode="json", exclude_none=True)
+    classes = sorted(content["classes"], key=lambda c: c["min_cm"])
+    for length_class, low_m, high_m in zip(classes, edges_m, edges_m[1:], strict=False):
+        length_class |= {"min_cm": round(100 * low_m, 3), "max_cm": round(100 * high_m, 3)}
+    for band, arc in zip(content["shape"], arcs, strict=False):
+        band["max_mm_per_10cm"] = arc
+    rules = {**profile.rules, "classes": _OWN_RULE}
+    content |= {"title": title or profile.title, "rules": rules, **limits}
+    return parse_model(CropProfile, content, source=Message("the limits"), error=ProfileError)
 
 
 def save_own_profile(profile: CropProfile, before: CropProfile | None = None) -> Path:

@@ -2,26 +2,31 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from datetime import date, datetime
+from typing import TYPE_CHECKING, Any
 
 import streamlit as st
 
 from cucumbervision_greenhouse import resources, round_view
+from cucumbervision_greenhouse import words as texts
 from cucumbervision_greenhouse.language import counted, marked, plain
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.pages import page_elements
 from cucumbervision_greenhouse.pages.round_choice import label_options
 from cucumbervision_greenhouse.rounds.day_comparison import Change
 from cucumbervision_greenhouse.rounds.merge_and_link import earlier_rounds
-from cucumbervision_greenhouse.words import daily_growth_words, day_words, label_words, row_name
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from cucumbervision_greenhouse.round_view import RoundView
     from cucumbervision_greenhouse.rounds.day_comparison import (
         ChangeCounts,
         DayComparison,
         FruitChange,
     )
-    from cucumbervision_greenhouse.store.records import Round
+    from cucumbervision_greenhouse.settings import Units
+    from cucumbervision_greenhouse.store.records import FruitRow, Round
 
 _WEEK, _SEASON = 7, 200  # rounds in the chart
 _CHANGES = {
@@ -34,8 +39,9 @@ _CHANGES = {
 
 
 @page_elements.of_round
-def page(round_summary: Round) -> None:
+def page(walk: RoundView) -> None:
     """Draw the page."""
+    round_summary = walk.round
     earlier = {x.key: x for x in earlier_rounds(resources.store(), round_summary.key)}
     if not round_summary.fruit or not earlier:
         st.info(
@@ -61,7 +67,7 @@ def page(round_summary: Round) -> None:
 
 
 def _choose_day(earlier: dict[str, Round]) -> str:
-    names = {key: day_words(x.walked_s) for key, x in earlier.items()}
+    names = {key: texts.day_words(x.walked_s) for key, x in earlier.items()}
     label = label_options("compared_with", names)
     if st.session_state.get("compared_with") not in earlier:
         named = st.query_params.get("day")
@@ -77,12 +83,12 @@ def _keys(fruit: FruitChange) -> list[str]:
 
 def _metrics(counts: ChangeCounts, before: Round, after: Round) -> None:
     metrics: dict[str, int | str] = {
-        _("On {day}").format(day=day_words(before.walked_s)): counts.before,
+        _("On {day}").format(day=texts.day_words(before.walked_s)): counts.before,
         _("Picked"): counts.picked,
         _("Not seen again"): counts.gone,
         _("New"): counts.new,
-        _("On {day}").format(day=day_words(after.walked_s)): counts.after,
-        _("Growth"): daily_growth_words(counts.growth_m_per_day, resources.settings().units),
+        _("On {day}").format(day=texts.day_words(after.walked_s)): counts.after,
+        _("Growth"): texts.daily_growth_words(counts.growth_m_per_day, resources.settings().units),
     }
     with st.container(horizontal=True):
         for label, value in metrics.items():
@@ -136,7 +142,9 @@ def _rows(comparison: DayComparison) -> None:
             _("Not seen again"): counts.gone,
             _("New"): counts.new,
             _("Now"): counts.after,
-            _("Growth"): daily_growth_words(counts.growth_m_per_day, resources.settings().units),
+            _("Growth"): texts.daily_growth_words(
+                counts.growth_m_per_day, resources.settings().units
+            ),
         }
         for row, counts in comparison.by_row().items()
     ]
@@ -148,8 +156,8 @@ def _classes(comparison: DayComparison, before: Round, after: Round) -> None:
     """Show the compared fruit by class, on both days."""
     compared = [x for x in comparison.changes if x.change is not Change.NOT_WALKED]
     first, last = (
-        round_view.class_counts(walk, filter(None, views))
-        for walk, views in (
+        round_view.class_counts(filter(None, views), resources.profile_of(day)[1])
+        for day, views in (
             (before, [x.before for x in compared]),
             (after, [x.after for x in compared]),
         )
@@ -157,7 +165,7 @@ def _classes(comparison: DayComparison, before: Round, after: Round) -> None:
     page_elements.table(
         [
             {
-                _("Class"): label_words(name),
+                _("Class"): texts.label_words(name),
                 _("Before"): first[name],
                 _("Now"): last[name],
                 _("Change"): f"{last[name] - first[name]:+d}".replace("+0", "0").replace("-", "−"),
@@ -180,9 +188,7 @@ def _each_fruit(comparison: DayComparison) -> None:
         view = fruit.after or fruit.before
         if view is not None:
             picture = round_view.thumbnail_of(view)
-            lines.append(
-                {"key": view.key, "picture": picture, "says": round_view.change_words(fruit, units)}
-            )
+            lines.append({"key": view.key, "picture": picture, "says": _change_words(fruit, units)})
     words = counted(
         len(changes), "{n} fruit: tap one to see its days", "{n} fruit: tap one to see its days"
     )
@@ -197,9 +203,9 @@ def _fruit_days(round_summary: Round, key: str) -> None:
     page_elements.button(
         st, _("All fruit"), "arrow_back", page_elements.name_in_address, "fruit", None
     )
-    st.header(f"{row_name(views[-1].row)}: {counted(len(views), '{n} day', '{n} days')}")
-    page_elements.pictures(views, lambda view: "  \n".join(round_view.day_lines(view, units)))
-    chart_lines = round_view.length_days(views, units)
+    st.header(f"{texts.row_name(views[-1].row)}: {counted(len(views), '{n} day', '{n} days')}")
+    page_elements.pictures(views, lambda view: "  \n".join(_day_lines(view, units)))
+    chart_lines = length_days(views, units)
     if len(chart_lines) > 1:
         from cucumbervision_greenhouse.pages import charts
 
@@ -207,6 +213,43 @@ def _fruit_days(round_summary: Round, key: str) -> None:
         st.caption(_("Length on each day, with its 90 % interval where one is given."))
     if views[-1].round_key == round_summary.key:
         page_elements.link("results", _("Open this fruit"), fruit=views[-1].key)
+
+
+def _change_words(fruit: FruitChange, units: Units) -> list[str]:
+    """Return the words for a fruit of two rounds: its place, its two lengths, its growth."""
+    views = [view for view in (fruit.before, fruit.after) if view is not None]
+    growth, last = fruit.growth_m_per_day, views[-1]
+    return [
+        f"{texts.row_and_side(last)}, {texts.position_words(last.along_m, units)}",
+        " → ".join(texts.length_words(view, units) for view in views),
+        "" if growth is None else texts.daily_growth_words(growth, units),
+        _("picked") if last.picked_s is not None else "",
+    ]
+
+
+def _day_lines(view: FruitRow, units: Units) -> list[str]:
+    """Return the words for a fruit on one day: the date, its length and interval."""
+    lines = [
+        texts.day_words(view.taken_s),
+        texts.length_words(view, units),
+        texts.interval_words(view, units),
+    ]
+    return [line for line in lines if line]
+
+
+def length_days(views: Iterable[FruitRow], units: Units) -> list[dict[str, Any]]:
+    """Return a line for each day of a fruit with a length: time, length and interval."""
+    return [
+        {
+            # Without a zone: a browser elsewhere would draw another day than the pages say.
+            "at": datetime.fromtimestamp(view.taken_s).isoformat(timespec="minutes"),
+            "length": units.value(length.value_m),
+            "low": units.value(length.low_m),
+            "high": units.value(length.high_m),
+        }
+        for view in views
+        if (length := view.length) is not None
+    ]
 
 
 def _trend(round_summary: Round, rounds: list[Round]) -> None:
@@ -226,10 +269,12 @@ def _trend(round_summary: Round, rounds: list[Round]) -> None:
         default=_WEEK,
         required=True,
     )
-    days = round_view.last_of_day(rounds)[: span or _WEEK]
+    last: dict[str, Round] = {}  # of each day, the newest first
+    for x in sorted(rounds, key=lambda x: -x.walked_s):
+        last.setdefault(date.fromtimestamp(x.walked_s).isoformat(), x)
     lines = [
         {"day": day, "class": label, "fruit": number}
-        for day, x in days
+        for day, x in list(last.items())[: span or _WEEK]
         for label, number in round_view.class_counts_of(x).items()
     ]
     from cucumbervision_greenhouse.pages import charts

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import streamlit as st
 
-from cucumbervision_greenhouse import resources, round_view
+from cucumbervision_greenhouse import resources
+from cucumbervision_greenhouse import words as texts
 from cucumbervision_greenhouse.forecast.forecast import Forecast
 from cucumbervision_greenhouse.forecast.picking import Span, plan_work, ready_on
 from cucumbervision_greenhouse.language import gettext as _
@@ -16,35 +17,23 @@ from cucumbervision_greenhouse.language import language, plain
 from cucumbervision_greenhouse.pages import page_elements
 from cucumbervision_greenhouse.resources import KEPT
 from cucumbervision_greenhouse.rounds.forecasting import Age, age_of
-from cucumbervision_greenhouse.words import (
-    age_words,
-    class_words,
-    clock_words,
-    count_words,
-    expected_classes,
-    first_days,
-    forecast_day,
-    growth_words,
-    hours_span_words,
-    round_day,
-    span_words,
-)
 
 if TYPE_CHECKING:
+    from cucumbervision_greenhouse.round_view import RoundView
     from cucumbervision_greenhouse.store.records import Round
 
 
 @page_elements.of_round
-def page(round_summary: Round) -> None:
+def page(walk: RoundView) -> None:
     """Draw the page."""
-    prediction = round_view.forecast_of(round_summary)
+    prediction = walk.forecast
     if not prediction.fruit:
         st.info(
             _("Nothing to forecast: this round has no measured fruit left on the plant."),
             icon=":material/calendar_month:",
         )
         return
-    _age(round_summary)
+    _age(walk.round)
     names = [_("Next days"), _("Work and crates")]
     days, work = st.tabs(names, key="forecast_tabs", on_change="rerun")
     with days:
@@ -58,7 +47,7 @@ def _age(round_summary: Round) -> None:
     walked = round_summary.walked_s
     days, age = age_of(walked, time.time())
     if days < 0:
-        st.warning(clock_words(walked), icon=":material/error:")
+        st.warning(texts.clock_words(walked), icon=":material/error:")
     if age is not Age.FRESH:
         words = _(
             "This round is {age} (walked on {when}): the forecast is valid only if nothing was "
@@ -70,7 +59,8 @@ def _age(round_summary: Round) -> None:
                 "walk. Walk again."
             )
         st.warning(
-            words.format(age=age_words(days), when=round_day(walked)), icon=":material/history:"
+            words.format(age=texts.age_words(days), when=texts.round_day(walked)),
+            icon=":material/history:",
         )
     page_elements.link("today", _("Today's pick list"))
 
@@ -92,8 +82,8 @@ def _chart(prediction: Forecast, language: str, theme: str | None) -> None:  # n
 
 def _days(prediction: Forecast) -> None:
     first = [
-        f"{class_words(name)} {forecast_day(prediction, day)}"
-        for name, day in first_days(prediction).items()
+        f"{texts.class_words(name)} {texts.forecast_day(prediction, day)}"
+        for name, day in texts.first_days(prediction).items()
     ]
     if first:
         st.markdown(_("**First fruit ready**: {days}").format(days=plain(", ".join(first))))
@@ -104,26 +94,27 @@ def _days(prediction: Forecast) -> None:
     for day in prediction.days.tolist():
         ready = ready_on(prediction, day)
         line: dict[str, object] = {
-            _("Day"): forecast_day(prediction, day),
-            _("Ready"): count_words(ready.fruit),
+            _("Day"): texts.forecast_day(prediction, day),
+            _("Ready"): texts.count_words(ready.fruit),
             _("Sure"): ready.sure,
             _("May be ready"): ready.may_be,
         }
-        for k in expected_classes(prediction):
+        for k in texts.expected_classes(prediction):
             count = Span(house.expected[day, k], house.low[day, k], house.high[day, k])
-            words = span_words(count)
+            words = texts.span_words(count)
             if words != "–" and not prediction.complete[day, k]:
                 words = _("{fruit} or more").format(fruit=words)
-            line[class_words(prediction.classes[k])] = words
+            line[texts.class_words(prediction.classes[k])] = words
         lines.append(line)
     page_elements.table(lines)
-    words = _(
-        "Ready is the expected number: the sum of what is likely of each fruit. 'Or more': fruit "
-        "too small to be detected today are not counted."
+    st.caption(
+        _(
+            "Ready is the expected number: the sum of what is likely of each fruit. 'Or more': "
+            "fruit too small to be detected today are not counted."
+        )
     )
-    st.caption(words)
     with st.expander(_("Details"), icon=":material/list:"):
-        growth = growth_words(prediction.growth, resources.settings().units)
+        growth = texts.growth_words(prediction.growth, resources.settings().units)
         st.caption(f"{_('Ranges are 80 % intervals.')} {plain(growth)}")
 
 
@@ -139,16 +130,16 @@ def _work(prediction: Forecast) -> None:
         page_elements.setting(name, column.number_input, label, *limits, step=step)
     lines = [
         {
-            _("Day"): forecast_day(prediction, day.day),
-            _("Fruit"): span_words(day.fruit),
-            _("Work"): hours_span_words(day.hours),
+            _("Day"): texts.forecast_day(prediction, day.day),
+            _("Fruit"): texts.span_words(day.fruit),
+            _("Work"): texts.hours_span_words(day.hours),
             **{
-                _("Crates {name}").format(name=name): span_words(n)
+                _("Crates {name}").format(name=name): texts.span_words(n)
                 for name, n in day.crates.items()
             },
         }
         for day in plan_work(prediction, resources.settings().rates)
-        if count_words(day.fruit.expected) != "0"
+        if texts.count_words(day.fruit.expected) != "0"
     ]
     page_elements.table(lines)
     st.caption(_("If every ready fruit is picked every day. Hours for one person."))

@@ -10,62 +10,44 @@ import streamlit as st
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.fruit.instance import MaskSource
 from cucumbervision.methods.table import AVAILABLE
-from cucumbervision_greenhouse import resources, round_view
-from cucumbervision_greenhouse.fruit_pictures import (
-    as_data_url,
-    depth_picture,
-    fruit_layers,
-    ruler_m,
-    scale_bar,
-    stop_layers,
-)
-from cucumbervision_greenhouse.language import counted, marked, plain, sentence
+from cucumbervision.run.fields import FIELDS
+from cucumbervision_greenhouse import fruit_pictures, resources, round_view
+from cucumbervision_greenhouse import words as texts
+from cucumbervision_greenhouse.language import counted, decimal_words, marked, plain, sentence
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.pages import page_elements
-from cucumbervision_greenhouse.pages.page_elements import button, draw_undo, picture
-from cucumbervision_greenhouse.round_view import GradedRound, figure_lines
+from cucumbervision_greenhouse.pages.accuracy import hand_file, hand_lengths
 from cucumbervision_greenhouse.rounds.adding import stored_calibration
 from cucumbervision_greenhouse.rounds.fruit_table import least_sure_first
 from cucumbervision_greenhouse.store.records import DetectionDetail, Verdict
-from cucumbervision_greenhouse.words import (
-    grade_words,
-    interval_words,
-    kind_words,
-    length_words,
-    remarks,
-    round_day,
-    step_words,
-)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from cucumbervision.capture.frames import Capture
+    from cucumbervision_greenhouse.round_view import RoundView
     from cucumbervision_greenhouse.settings import Units
-    from cucumbervision_greenhouse.store.records import FruitRow, Round
+    from cucumbervision_greenhouse.store.records import FruitRow
 
 
-def show(round_summary: Round, graded: GradedRound, key: str, listed: Sequence[FruitRow]) -> None:
+def show(walk: RoundView, key: str, listed: Sequence[FruitRow]) -> None:
     """Draw a fruit in place of the list; `listed` are the fruit that its filters leave."""
-    detail = round_view.fruit_detail(round_summary, key)
-    _head(graded, key, listed)
+    detail = resources.store().detection(key)
+    following = _head(walk, key, listed)
     picture_side, right = page_elements.halves()
     # Each in its own container, so that elements above do not move the buttons.
     with right.container():
-        _figures(graded, detail)
+        _figures(walk, detail)
     with right.container():
-        _verdict(round_summary, detail)
-    line = next(
-        (x for x in round_view.fruit_of(round_summary) if x.group == detail.view.group), None
-    )
+        _verdict(detail, following)
     with picture_side:
         _pictures(detail)
-    _show_stops(round_summary, detail.view, line)
+    _show_stops(walk, detail.view)
     _methods(detail)
 
 
 def _neighbours(
-    graded: GradedRound, key: str, listed: Sequence[FruitRow]
+    walk: RoundView, key: str, listed: Sequence[FruitRow]
 ) -> tuple[str | None, str | None]:
     """Return the fruit before and after one in the list.
 
@@ -73,16 +55,17 @@ def _neighbours(
     """
     keys = [view.key for view in listed]
     if key not in keys:
-        walk = list(graded.grades)
-        later = (k for k, later_key in enumerate(keys) if walk.index(later_key) > walk.index(key))
+        order = {fruit: number for number, fruit in enumerate(walk.grades)}
+        later = (k for k, later_key in enumerate(keys) if order[later_key] > order[key])
         keys.insert(next(later, len(keys)), key)
     index = keys.index(key)
     return (keys[index - 1] if index else None), next(iter(keys[index + 1 :]), None)
 
 
-def _head(graded: GradedRound, key: str, listed: Sequence[FruitRow]) -> None:
-    before, after = _neighbours(graded, key, listed)
-    unsure = [view.key for view in least_sure_first(graded.fruit)]
+def _head(walk: RoundView, key: str, listed: Sequence[FruitRow]) -> str | None:
+    """Draw the way to other fruit, and return the next one of the list."""
+    before, after = _neighbours(walk, key, listed)
+    unsure = [view.key for view in least_sure_first(walk.fruit)]
     following = unsure.index(key) + 1 if key in unsure else 0
     next_unsure = next((k for k in (*unsure[following:], *unsure[:following]) if k != key), None)
 
@@ -91,42 +74,44 @@ def _head(graded: GradedRound, key: str, listed: Sequence[FruitRow]) -> None:
         st.session_state.pop("ruler", None)
 
     with st.container(horizontal=True, gap="small", key="fruit_head"):
-        button(st, _("All fruit"), "arrow_back", go, None, shortcut="esc")
+        page_elements.button(st, _("All fruit"), "arrow_back", go, None, shortcut="esc")
         for label, target, icon, shortcut in (
             (_("Previous"), before, "chevron_left", "left"),
             (_("Next"), after, "chevron_right", "right"),
             (_("Next unsure"), next_unsure, "help", "U"),
         ):
             how: dict[str, Any] = {"disabled": target is None, "key": f"{icon}_{key}"}
-            button(st, label, icon, go, target, shortcut=shortcut, **how)
+            page_elements.button(st, label, icon, go, target, shortcut=shortcut, **how)
+    return after
 
 
-def _figures(graded: GradedRound, detail: DetectionDetail) -> None:
-    view_of_key = {view.key: view for view in (*graded.fruit, *graded.deleted)}
-    record, units = view_of_key[detail.view.key], resources.settings().units
-    graded_fruit = graded.grades[detail.view.key]
-    interval = interval_words(record, units, _("Likely between {low} and {high}"))
+def _figures(walk: RoundView, detail: DetectionDetail) -> None:
+    record = next(fruit for fruit in walk.best if fruit.key == detail.view.key)
+    units, graded_fruit = resources.settings().units, walk.grades[record.key]
+    by_hand = hand_lengths(hand_file(resources.where(), walk.key), [record]).get(record.key)
+    interval = texts.interval_words(record, units, _("Likely between {low} and {high}"))
     st.metric(
-        kind_words(None if record.length is None else str(record.length.kind)),
-        length_words(record, units),
+        texts.kind_words(None if record.length is None else str(record.length.kind)),
+        texts.length_words(record, units),
         interval,
         delta_color="off",
         delta_arrow="off",
     )
-    st.markdown(f"**{sentence(grade_words(graded_fruit))}**")
+    st.markdown(f"**{sentence(texts.grade_words(graded_fruit))}**")
     traits = {
         _("Thickest"): None
         if not record.diameter_max_m
         else f"{1000 * record.diameter_max_m:.0f} mm",
         _("Weight, about"): None if not graded_fruit.mass_g else f"{graded_fruit.mass_g:.0f} g",
         _("Distance"): units.text(record.distance_m),
+        _("Measured by hand"): " / ".join(units.text(x) for x in by_hand or () if x is not None),
         _("Outline by"): record.mask_source and _(MaskSource(record.mask_source).words),
         _("Hidden by leaves"): None
         if record.hidden_share is None
         else f"{100 * record.hidden_share:.0f} %",
     }
     st.write(" · ".join(f"{name}: {value}" for name, value in traits.items() if value))
-    if words := remarks(record, units):
+    if words := texts.remarks(record, units):
         st.caption(sentence(f"{words}."))
     with st.expander(_("Details"), icon=":material/list:"):
         for rule in graded_fruit.rules:
@@ -137,20 +122,38 @@ def _figures(graded: GradedRound, detail: DetectionDetail) -> None:
         page_elements.table(figure_lines(record))
 
 
-def _verdict(round_summary: Round, detail: DetectionDetail) -> None:
+def figure_lines(record: FruitRow) -> list[dict[str, str]]:
+    """Return a line with description and value for each stored figure of a fruit.
+
+    Examples
+    --------
+    >>> from cucumbervision_greenhouse.store.records import FruitRow
+    >>> figure_lines(FruitRow(1, diameter_max_m=0.0412))[-1]
+    {'What': 'Largest diameter', 'Value': '41.2 mm'}
+    """
+    lines = []
+    for column in FIELDS:
+        cell = column.cell(getattr(record, column.si_name, None), column.digits)
+        if column.type == "number" and cell is not None and not column.name.startswith("box_"):
+            value = f"{decimal_words(f'{cell:g}')} {column.unit}".strip()
+            says = _(column.says)
+            lines.append({_("What"): says[0].upper() + says[1:], _("Value"): value})
+    return lines
+
+
+def _verdict(detail: DetectionDetail, following: str | None) -> None:
     key, verdict_before, store = detail.view.key, detail.view.verdict, resources.store()
     is_picked = detail.view.picked_s is not None
 
-    def judge(verdict: Verdict | None) -> None:
-        # All its views: otherwise another view would represent the deleted fruit.
-        views = store.detections(detail.view.round_key)
-        group = next(x.group for x in views if x.key == key)  # merged again since it was drawn
-        store.set_verdict([x.key for x in views if x.group == group], verdict)
+    def mark(verdict: Verdict | None) -> None:
+        page_elements.judge(detail.view.round_key, key, verdict)
+        if verdict is not None and following is not None:  # reviewing goes on
+            page_elements.name_in_address("fruit", following)
 
     def pick() -> None:
         store.unpick([key]) if is_picked else store.pick([key])
 
-    with st.container(horizontal=True):
+    with st.container(horizontal=True, key="verdict"):
         for verdict, name, done, icon, shortcut in (
             (Verdict.ACCEPTED, _("Accept"), _("Accepted"), "check", "A"),
             (Verdict.REJECTED, _("Not a fruit"), _("Marked: not a fruit"), "delete", "X"),
@@ -158,13 +161,15 @@ def _verdict(round_summary: Round, detail: DetectionDetail) -> None:
             how = {"shortcut": shortcut}
             # Keyed by the fruit, so that a press acts on the fruit on the screen, not on the next.
             if verdict_before is verdict:
-                button(st, done, icon, judge, None, type="primary", key=f"clear_{key}", **how)
+                page_elements.button(
+                    st, done, icon, mark, None, type="primary", key=f"clear_{key}", **how
+                )
             else:
-                button(st, name, icon, judge, verdict, key=f"{verdict}_{key}", **how)
+                page_elements.button(st, name, icon, mark, verdict, key=f"{verdict}_{key}", **how)
     with st.container(horizontal=True):
         words, name = (_("Not picked"), "unpick") if is_picked else (_("Picked"), "pick")
-        button(st, words, "shopping_basket", pick, key=f"{name}_{key}", shortcut="P")
-        draw_undo(round_summary.key)
+        page_elements.button(st, words, "shopping_basket", pick, key=f"{name}_{key}", shortcut="P")
+        page_elements.draw_undo(detail.view.round_key)
     address = f"/results?{urlencode(page_elements.here(fruit=key))}"
     with st.popover(_("Send a link to this fruit"), icon=":material/link:", width="stretch"):
         st.code(urljoin(st.context.url or "", address), language=None)
@@ -205,7 +210,7 @@ def _cloud(capture: Capture, record: FruitRow) -> None:
 
 def _picture(detail: DetectionDetail, capture: Capture) -> None:
     record, units = detail.view, resources.settings().units
-    depth, words = depth_picture(capture.depth_m, units)
+    depth, words = fruit_pictures.depth_picture(capture.depth_m, units)
     ruler = st.session_state.get("ruler")
     view = detail.view
     adds = st.session_state.get("adds_fruit", False)
@@ -214,12 +219,15 @@ def _picture(detail: DetectionDetail, capture: Capture) -> None:
     def corrected() -> None:
         st.session_state[f"correction_{view.key}"] = st.session_state[key].corrected
 
-    drawn = picture(
+    drawn = page_elements.picture(
         key,
-        {_("Colour"): as_data_url(capture.color), _("Depth"): as_data_url(depth)},
+        {
+            _("Colour"): fruit_pictures.as_data_url(capture.color),
+            _("Depth"): fruit_pictures.as_data_url(depth),
+        },
         (capture.width, capture.height),
-        layers=[*fruit_layers(record, capture.intrinsics), *_others(detail)],
-        bar=scale_bar(capture.intrinsics, record.distance_m, units),
+        layers=[*fruit_pictures.fruit_layers(record, capture.intrinsics), *_others(detail)],
+        bar=fruit_pictures.scale_bar(capture.intrinsics, record.distance_m, units),
         tools=("ruler", "point", "box"),
         ruler_text=ruler or "",
         title=_("Fruit {number} of {capture}").format(number=record.fruit, capture=view.capture),
@@ -235,7 +243,7 @@ def _picture(detail: DetectionDetail, capture: Capture) -> None:
     st.caption(_("{capture}. Depth: {range}.").format(capture=name, range=words))
     if drawn.ruler:
         x1, y1, x2, y2 = (float(x) for x in drawn.ruler)
-        length_m = ruler_m(capture, (x1, y1), (x2, y2))
+        length_m = fruit_pictures.ruler_m(capture, (x1, y1), (x2, y2))
         text = units.text(length_m) if length_m is not None else _("no depth there")
         st.session_state["ruler"] = text
         st.rerun()
@@ -257,7 +265,7 @@ def _others(detail: DetectionDetail) -> list[dict[str, Any]]:
         if view.key != detail.view.key and view.verdict is not Verdict.REJECTED
     ]
     names = dict.fromkeys((view.key for view in neighbours), marked("Other fruit"))
-    return stop_layers(detail.capture, neighbours, names, resources.settings().units)
+    return fruit_pictures.stop_layers(detail.capture, neighbours, names, resources.settings().units)
 
 
 def _of_picture(view: FruitRow) -> list[FruitRow]:
@@ -290,11 +298,10 @@ def _accept_others(detail: DetectionDetail) -> None:
 
 
 def _outcome(key: str) -> tuple[int | None, str]:
-    """Return the last correction of a fruit, and what became of it."""
-    job = page_elements.finished_job(f"correction_{key}")
-    if job is None:
-        return None, ""
-    return job.number, job.error or _("Saved: measured with this outline. 'Undo' removes it.")
+    """Return the number of a fruit's last correction, and what became of it."""
+    action = st.session_state.get(f"correction_{key}")
+    saved = _("Saved: measured with this outline. 'Undo' removes it.")
+    return action, saved if action is not None else ""
 
 
 def _methods(detail: DetectionDetail) -> None:
@@ -316,33 +323,25 @@ def _methods(detail: DetectionDetail) -> None:
     if detail.log:
         with st.expander(_("Corrections"), icon=":material/history:"):
             for action in detail.log:
-                when = round_day(action.at_s)
+                when = texts.round_day(action.at_s)
                 undone = f" ({_('undone')})" if action.undone else ""
                 st.write(plain(f"{when}, {action.by or _('unnamed')}: {action.kind}{undone}"))
 
 
-def _show_stops(round_summary: Round, fruit: FruitRow, line: FruitRow | None) -> None:
-    """Draw the views of a fruit, the representative one first; nothing if there is only one.
-
-    Parameters
-    ----------
-    round_summary : Round
-        Its round.
-    fruit : FruitRow
-        Any of its views.
-    line : FruitRow, optional
-        The fruit with the length by all its views.
-    """
-    content, units = round_view.content_of(round_summary), resources.settings().units
-    views = sorted((v for v in content.views if v.group == fruit.group), key=lambda v: not v.best)
+def _show_stops(walk: RoundView, fruit: FruitRow) -> None:
+    """Draw the views of a fruit, the representative one first; nothing if there is only one."""
+    units = resources.settings().units
+    of_fruit = [view for view in walk.content.views if view.group == fruit.group]
+    views = sorted(of_fruit, key=lambda view: not view.best)
     if len(views) < 2:
         return
+    line = next((x for x in walk.fruit if x.group == fruit.group), None)
     st.markdown(f"**{counted(len(views), 'Seen {n} time', 'Seen {n} times')}**")
     chosen = _("representative") if line is None else _("best view")
 
     def words(view: FruitRow) -> str:
         best = f" · {chosen}" if view.best else ""
-        return f"{step_words(view.step)}: {_length(view, units)}{best}"
+        return f"{texts.step_words(view.step)}: {_length(view, units)}{best}"
 
     page_elements.pictures(views, words)
     if line is not None:
@@ -350,6 +349,6 @@ def _show_stops(round_summary: Round, fruit: FruitRow, line: FruitRow | None) ->
 
 
 def _length(record: FruitRow, units: Units) -> str:
-    words = length_words(record, units)
-    interval = interval_words(record, units)
+    words = texts.length_words(record, units)
+    interval = texts.interval_words(record, units)
     return f"{words} ({interval})" if interval else words

@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 
     from streamlit.delta_generator import DeltaGenerator
 
-    from cucumbervision_greenhouse.jobs import Job
-    from cucumbervision_greenhouse.store.records import FruitRow, Round
+    from cucumbervision_greenhouse.round_view import RoundView
+    from cucumbervision_greenhouse.store.records import FruitRow, Verdict
 
 _PICTURE_PX = 168  # two abreast on a phone
 _NEWS_S = 1.0  # how soon a page shows what another viewer did
@@ -73,6 +73,13 @@ def do(act: Callable[[], object]) -> bool:
         st.session_state["fault"] = words_of(error)
         return False
     return True
+
+
+def judge(round_key: str, key: str, verdict: Verdict | None) -> None:
+    """Mark all views of a fruit, as they are grouped now: one would represent it otherwise."""
+    views = resources.store().detections(round_key)
+    groups = {view.group for view in views if view.key == key}
+    resources.store().set_verdict([view.key for view in views if view.group in groups], verdict)
 
 
 def draw_undo(round_key: str) -> None:
@@ -251,7 +258,7 @@ def _pages(items: Sequence[Any], size: int) -> int:
     return max(1, -(-len(items) // size))
 
 
-def of_round(draw: Callable[[Round], None]) -> Callable[[], None]:
+def of_round(draw: Callable[[RoundView], None]) -> Callable[[], None]:
     """Make a page of a function that draws a round: the round is chosen above it."""
 
     @wraps(draw)
@@ -267,7 +274,7 @@ def of_round(draw: Callable[[Round], None]) -> Callable[[], None]:
         elif round_summary is None:
             first_steps(begun=False)
         else:
-            draw(round_summary)
+            draw(round_view.view_of(round_summary))
 
     return page
 
@@ -355,12 +362,6 @@ def say_missing(name: str, present: Container[str | None], words: str) -> None:
     """
     if (named := st.query_params.get(name)) is not None and named not in present:
         st.warning(words.format(plain(named[:40])), icon=":material/search_off:")
-
-
-def finished_job(key: str) -> Job | None:
-    """Return the viewer's job once it is finished; `live` shows its progress."""
-    job = resources.worker().get(st.session_state.get(key))
-    return job if job is not None and job.finished else None
 
 
 def live() -> None:
@@ -466,7 +467,7 @@ def picture(
         'grid' and 'opened' of a row's map, which has marks instead of a picture.
     on : mapping of str to callable, optional
         What is called for 'tapped' and 'judged' of a map, and for 'corrected', which holds the
-        number of the job that measured a new outline.
+        number of the action that saved a new outline.
 
     Returns
     -------

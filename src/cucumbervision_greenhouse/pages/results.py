@@ -3,39 +3,31 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlencode
 
 import streamlit as st
 
 from cucumbervision_greenhouse import resources, round_view, tasks
+from cucumbervision_greenhouse import words as texts
 from cucumbervision_greenhouse.exports import ExportFormat
 from cucumbervision_greenhouse.language import counted, marked, plain
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.pages import fruit as fruit_page
 from cucumbervision_greenhouse.pages import page_elements
 from cucumbervision_greenhouse.pages.round_choice import label_options
-from cucumbervision_greenhouse.round_view import GradedRound
-from cucumbervision_greenhouse.rounds.fruit_table import hanging_lengths_m, on_the_plant
+from cucumbervision_greenhouse.rounds.fruit_table import (
+    hanging_lengths_m,
+    on_the_plant,
+    round_figures,
+)
 from cucumbervision_greenhouse.rounds.walking import is_demonstration
 from cucumbervision_greenhouse.store.records import Verdict
-from cucumbervision_greenhouse.words import (
-    grade_words,
-    interval_words,
-    label_words,
-    position_words,
-    ready_words,
-    remarks,
-    row_name,
-    side_words,
-    today_words,
-)
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
+    from cucumbervision_greenhouse.round_view import RoundView
     from cucumbervision_greenhouse.store.records import FruitRow, Round
 
 _FORMATS = {
@@ -47,7 +39,7 @@ _FORMATS = {
 }
 
 
-def _files(round_summary: Round) -> None:
+def _files(round_key: str) -> None:
     """Draw the choice of formats, and the link that makes and loads the files."""
     formats = st.pills(
         _("Formats"),
@@ -60,8 +52,7 @@ def _files(round_summary: Round) -> None:
     if formats:
         asked = urlencode([("formats", str(chosen)) for chosen in formats])
         st.html(
-            f'<a class="load" href="/api/files/{round_summary.key}?{asked}" download>'
-            f"{_('Download')}</a>"
+            f'<a class="load" href="/api/files/{round_key}?{asked}" download>{_("Download")}</a>'
         )
 
 
@@ -73,37 +64,36 @@ _VERDICTS = {
 
 
 @page_elements.of_round
-def page(round_summary: Round) -> None:
+def page(walk: RoundView) -> None:
     """Draw the page."""
-    graded = round_view.graded_round(round_summary)
-    groups = round_view.content_of(round_summary).group_of
+    groups = walk.content.group_of
     opened = groups.get(st.query_params.get("fruit", ""))  # by any of its views
-    if opened is not None and opened in graded.grades:
-        fruit_page.show(round_summary, graded, opened, _listed(graded))
+    if opened is not None and opened in walk.grades:
+        fruit_page.show(walk, opened, _listed(walk))
         return
     page_elements.say_missing(
         "fruit", groups, _("There is no such fruit in this round (any more).")
     )
-    if not (graded.fruit or graded.deleted):
-        _empty(round_summary)
+    if not walk.best:
+        _empty(walk.round)
         return
-    _classes(round_summary, graded)
-    _statistics(graded)
-    _filters(graded)
-    fruit = _listed(graded)
+    _classes(walk)
+    _statistics(walk)
+    _filters(walk)
+    fruit = _listed(walk)
     if not fruit:
         st.info(_("No fruit matches these filters."), icon=":material/filter_alt_off:")
         return
-    _list(graded, fruit)
-    _chart(graded, fruit)
+    _list(walk, fruit)
+    _chart(walk, fruit)
     files = page_elements.section(_("Files of this round"), "download", "files")
     if files is not None:
         with files:
-            _files(round_summary)
+            _files(walk.key)
 
 
 def _empty(round_summary: Round) -> None:
-    if not round_summary.stops and (words := tasks.progress(round_summary.key).first_words):
+    if not round_summary.stops and (words := tasks.progress(round_summary.key).first):
         st.info(words, icon=":material/hourglass_empty:")
     elif round_summary.stops:
         st.info(_("No fruit was found at the stops of this round."), icon=":material/search_off:")
@@ -111,22 +101,24 @@ def _empty(round_summary: Round) -> None:
         page_elements.first_steps(begun=True)
 
 
-def _classes(round_summary: Round, graded: GradedRound) -> None:
+def _classes(walk: RoundView) -> None:
     """Say first what a grower asks first: how many of each class, and where the list is."""
-    counts = Counter(graded.grades[view.key].label for view in on_the_plant(graded.fruit))
-    words = ", ".join(f"{number} {label_words(name)}" for name, number in sorted(counts.items()))
+    counts = walk.counts(on_the_plant(walk.fruit))
+    words = ", ".join(
+        f"{number} {texts.label_words(name)}" for name, number in sorted(counts.items())
+    )
     says, go = st.columns([3, 1], vertical_alignment="center")
     says.markdown(f"**{plain(words or _('No fruit on the plant'))}**")
-    if (ready := round_view.ready_today(round_summary)) is not None:
-        says.caption(ready_words(ready))
-    if is_demonstration(round_summary.key):
+    if (ready := walk.ready) is not None:
+        says.caption(texts.ready_words(ready))
+    if is_demonstration(walk.key):
         says.caption(_("A computer-made example."))
     with go:
         page_elements.link("today", _("What is ready today"))
 
 
-def _statistics(graded: GradedRound) -> None:
-    figures, units = graded.figures, resources.settings().units
+def _statistics(walk: RoundView) -> None:
+    figures, units = round_figures(walk.content, walk.fruit), resources.settings().units
     metrics: dict[str, tuple[int | str, str | None]] = {
         _("Fruit"): (
             figures.fruit,
@@ -138,7 +130,7 @@ def _statistics(graded: GradedRound) -> None:
             f"± {units.text(figures.sd_m)}" if figures.sd_m else None,
         ),
         _("Picked"): (figures.picked, None),
-        _("Deleted"): (len(graded.deleted), None),
+        _("Deleted"): (len(walk.deleted), None),
     }
     how: dict[str, Any] = {"delta_color": "off", "delta_arrow": "off", "width": "content"}
     with st.container(horizontal=True):
@@ -149,7 +141,7 @@ def _statistics(graded: GradedRound) -> None:
 def _with(view: FruitRow) -> set[str]:
     """Return which filters of *With* a fruit passes."""
     passed = {
-        marked("a remark"): bool(remarks(view, resources.settings().units)),
+        marked("a remark"): bool(texts.remarks(view, resources.settings().units)),
         marked("a redrawn outline"): view.corrected,
         marked("one view, not checked"): view.views == 1 and view.verdict is None,
     }
@@ -165,15 +157,15 @@ _ORDERS: dict[str, Callable[[FruitRow], float]] = {
 _WALK, _LIST, _PICTURES = next(iter(_ORDERS)), marked("List"), marked("Pictures")
 
 
-_FILTERS: dict[str, Callable[[GradedRound], Iterable[str]]] = {
-    marked("Row"): lambda graded: {view.row or "" for view in graded.fruit},
-    marked("Class"): lambda graded: {grade.label for grade in graded.grades.values()},
+_FILTERS: dict[str, Callable[[RoundView], Iterable[str]]] = {
+    marked("Row"): lambda walk: {view.row or "" for view in walk.fruit},
+    marked("Class"): lambda walk: {grade.label for grade in walk.grades.values()},
     marked("Checked"): lambda _: Verdict,
-    marked("With"): lambda graded: set().union(*map(_with, graded.fruit)),
+    marked("With"): lambda walk: set().union(*map(_with, walk.fruit)),
 }
 
 
-def _filters(graded: GradedRound) -> None:
+def _filters(walk: RoundView) -> None:
     """Draw the filters and the order; both stay while a fruit or another page is open."""
     part = page_elements.section(_("Filters"), "filter_alt", "filters")
     columns = [None] * len(_FILTERS) if part is None else part.columns(len(_FILTERS))
@@ -182,7 +174,7 @@ def _filters(graded: GradedRound) -> None:
         if column is None and st.session_state.get(key) is None:
             continue
         names: dict[str | None, str] = {None: _("all")}
-        names |= {name: label_words(name) for name in sorted(filter(None, values_in(graded)))}
+        names |= {name: texts.label_words(name) for name in sorted(filter(None, values_in(walk)))}
         labelled = label_options(key, names)
         if st.session_state.get(key) not in names:
             st.session_state[key] = None  # as in another round
@@ -197,29 +189,33 @@ def _filters(graded: GradedRound) -> None:
     )
 
 
-def _listed(graded: GradedRound) -> list[FruitRow]:
+def _listed(walk: RoundView) -> list[FruitRow]:
     """Return the fruit that pass the viewer's filters, in the order that was chosen."""
     chosen = {name: st.session_state.get(f"only_{name}") for name in _FILTERS}
     row, label, verdict, reading_filter = chosen.values()
     fruit = [
         view
-        for view in (graded.deleted if verdict is Verdict.REJECTED else graded.fruit)
+        for view in (walk.deleted if verdict is Verdict.REJECTED else walk.fruit)
         if row in (None, view.row)
         and verdict in (None, view.verdict)
-        and label in (None, graded.grades[view.key].label)
+        and label in (None, walk.grades[view.key].label)
         and (reading_filter is None or reading_filter in _with(view))
     ]
     return sorted(fruit, key=_ORDERS[st.session_state.get("only_order", _WALK)])
 
 
-def _chart(graded: GradedRound, fruit: Sequence[FruitRow]) -> None:
+def _chart(walk: RoundView, fruit: Sequence[FruitRow]) -> None:
     """Draw how long the fruit are, when it is asked for: drawing takes longer than the list."""
-    if not any(hanging_lengths_m([view]) for view in fruit):
+    measured = [view for view in fruit if hanging_lengths_m([view])]
+    if not measured:
         return
     chart = page_elements.section(_("Chart of the lengths"), "bar_chart", "chart")
     if chart is not None:
         units = resources.settings().units
-        lines = round_view.length_lines(fruit, graded.grades, units)
+        lines = [
+            {"length": units.value(view.length_m), "class": walk.grades[view.key].label}
+            for view in measured
+        ]
         words = _("Fruit on the plant: line at the mean, band of one standard deviation")
         chart.caption(words)
         from cucumbervision_greenhouse.pages import charts
@@ -227,11 +223,11 @@ def _chart(graded: GradedRound, fruit: Sequence[FruitRow]) -> None:
         chart.altair_chart(charts.histogram(lines, units))
 
 
-def _list(graded: GradedRound, fruit: Sequence[FruitRow]) -> None:
+def _list(walk: RoundView, fruit: Sequence[FruitRow]) -> None:
     page_fruit = page_elements.page_of(fruit, "list_page", round_view.LINES)
     are_pictures = st.session_state.get("only_drawn") == _PICTURES
     picture_of = round_view.cutout_of if are_pictures else round_view.thumbnail_of
-    lines = [{**_line(graded, view), "picture": picture_of(view)} for view in page_fruit]
+    lines = [{**_line(walk, view), "picture": picture_of(view)} for view in page_fruit]
     words = counted(len(fruit), "{n} fruit: tap one to open it", "{n} fruit: tap one to open it")
     page_elements.fruit_list(
         "fruit_list", _("Fruit of this round"), lines, words, are_pictures=are_pictures
@@ -239,18 +235,18 @@ def _list(graded: GradedRound, fruit: Sequence[FruitRow]) -> None:
     page_elements.choose_page(fruit, "list_page", round_view.LINES)
 
 
-def _line(graded: GradedRound, view: FruitRow) -> dict[str, Any]:
-    units, record = resources.settings().units, view
-    interval = interval_words(record, units)
-    position = "" if view.along_m is None else f", {position_words(view.along_m, units)}"
+def _line(walk: RoundView, view: FruitRow) -> dict[str, Any]:
+    units = resources.settings().units
+    interval = texts.interval_words(view, units)
+    position = "" if view.along_m is None else f", {texts.position_words(view.along_m, units)}"
     checked = _(_VERDICTS[view.verdict]), _("corrected") if view.corrected else ""
     picked = _("picked") if view.picked_s else ""
     says = [
-        today_words(record, graded.today_m.get(view.key), units)
+        texts.today_words(view, walk.today_m.get(view.key), units)
         + (f" ({interval})" if interval else ""),
-        grade_words(graded.grades[view.key]),
-        f"{row_name(view.row)} {side_words(view.side)}".strip() + position,
+        texts.grade_words(walk.grades[view.key]),
+        f"{texts.row_name(view.row)} {texts.side_words(view.side)}".strip() + position,
         ", ".join(filter(None, (*checked, picked, _("computer-made") if view.simulated else ""))),
-        remarks(record, units),
+        texts.remarks(view, units),
     ]
     return {"key": view.key, "says": says}

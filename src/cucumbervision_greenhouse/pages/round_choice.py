@@ -137,7 +137,8 @@ def _begin(rounds: Collection[Round]) -> None:
     def begin() -> None:
         # Read the fields' current values: the page may not have been redrawn since they changed.
         name, house = (str(st.session_state.get(key, "")) for key in ("new_name", "new_house"))
-        record = Round(name=name, house=house, profile=crop)
+        house = house.strip() or _("House 1")  # what an empty field shows
+        record = Round(name=name.strip() or _("Morning round"), house=house, profile=crop)
         try:
             resources.store().save_round(record)
         except CucumberVisionError as error:

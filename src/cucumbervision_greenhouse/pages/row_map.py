@@ -6,61 +6,53 @@ import math
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import streamlit as st
 
 from cucumbervision.capture.frames import Stop
 from cucumbervision_greenhouse import resources, round_view, tasks
+from cucumbervision_greenhouse import words as texts
 from cucumbervision_greenhouse.fruit_pictures import OTHER_COLORS, class_color
-from cucumbervision_greenhouse.language import counted, decimal_words, language, plain
+from cucumbervision_greenhouse.language import counted, decimal_words, plain
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.pages import page_elements
-from cucumbervision_greenhouse.pages.page_elements import (
-    button,
-    do,
-    draw_undo,
-    picture,
-    say_missing,
-)
 from cucumbervision_greenhouse.pages.round_choice import label_options
-from cucumbervision_greenhouse.round_view import map_words, row_and_side
 from cucumbervision_greenhouse.rounds.fruit_table import least_sure_first
 from cucumbervision_greenhouse.rounds.merge_and_link import move_stop
 from cucumbervision_greenhouse.rounds.walking import sides_of
 from cucumbervision_greenhouse.store.records import Verdict
-from cucumbervision_greenhouse.words import label_words, ready_words, side_words, stop_name
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
-    from cucumbervision_greenhouse.round_view import GradedRound
+    from cucumbervision.crop.grades import Grade
+    from cucumbervision_greenhouse.round_view import RoundView
     from cucumbervision_greenhouse.settings import Units
-    from cucumbervision_greenhouse.store.records import FruitRow, Round, StopRecord
+    from cucumbervision_greenhouse.store.records import FruitRow, StopRecord
 
 
 _ROWS_AT_ONCE = 4
 
 
 @page_elements.of_round
-def page(round_summary: Round) -> None:
+def page(walk: RoundView) -> None:
     """Draw the page."""
     maps, undo = st.container(), st.container()
-    list_stops(round_summary)  # first, since a stop on a third side prevents drawing the map
+    list_stops(walk.key)  # first, since a stop on a third side prevents drawing the map
     with undo:
-        draw_undo(round_summary.key)
+        page_elements.draw_undo(walk.key)
     with maps:
-        opened = _opened(round_summary)
-        groups = round_view.content_of(round_summary).group_of
+        groups = walk.content.group_of
         page_elements.say_missing(
             "fruit", groups, _("There is no such fruit in this round (any more).")
         )
-        _maps(round_summary, opened)
+        key = groups.get(st.query_params.get("fruit", ""))
+        _maps(walk, next((fruit for fruit in walk.best if fruit.group == key), None))
 
 
-def _maps(round_summary: Round, opened: FruitRow | None) -> None:
-    units = resources.settings().units
-    graded = round_view.graded_round(round_summary)
-    lines = round_view.map_lines_of(round_summary, units, language())
-    if not lines:
+def _maps(walk: RoundView, opened: FruitRow | None) -> None:
+    placed = [fruit for fruit in walk.fruit if fruit.along_m is not None]
+    if not placed:
         st.info(
             _("No fruit of this round has a position yet. Enter row and position when capturing."),
             icon=":material/map:",
@@ -76,7 +68,7 @@ def _maps(round_summary: Round, opened: FruitRow | None) -> None:
         key="color_by",
         required=True,
     )
-    rows = sorted({line["row"] for line in lines})
+    rows = sorted({texts.row_and_side(fruit) for fruit in placed})
     chosen = where.pills(
         _("Rows and sides"),
         rows,
@@ -84,22 +76,18 @@ def _maps(round_summary: Round, opened: FruitRow | None) -> None:
         format_func=plain,
         selection_mode="multi",
     )
-    named = None if opened is None else row_and_side(opened)
-    drawn = [row for row in rows if row in chosen or row == named]
-    drawn_lines = [line for line in lines if line["row"] in drawn]
-    abreast = st.columns(min(2, max(len(drawn), 1)))
-    for number, row in enumerate(drawn):
+    named = None if opened is None else texts.row_and_side(opened)
+    rows_drawn = [row for row in rows if row in chosen or row == named]
+    drawn = [fruit for fruit in placed if texts.row_and_side(fruit) in rows_drawn]
+    abreast = st.columns(min(2, max(len(rows_drawn), 1)))
+    for number, row in enumerate(rows_drawn):
         with abreast[number % len(abreast)]:
             st.caption(plain(row))
-            row_lines = [line for line in drawn_lines if line["row"] == row]
-            layers, grid = map_picture(row_lines, drawn_lines, units, by_length=colored == "length")
-            opened_here = opened if row == named else None
-            _row(
-                round_summary,
-                row,
-                layers,
-                {"row": row, "grid": grid, "opened": opened_here and _answer(graded, opened_here)},
-            )
+            of_row = [fruit for fruit in drawn if texts.row_and_side(fruit) == row]
+            by_length = colored == "length"
+            layers, grid = map_picture(of_row, drawn, walk.grades, by_length=by_length)
+            answer = _answer(walk, opened) if opened is not None and row == named else None
+            _row(walk, row, layers, {"row": row, "grid": grid, "opened": answer})
     st.caption(
         _(
             "One mark per fruit: a cross if it was picked, a diamond if it is computer-made, pale "
@@ -107,28 +95,28 @@ def _maps(round_summary: Round, opened: FruitRow | None) -> None:
             "to the camera."
         )
     )
-    if (ready := round_view.ready_today(round_summary)) is not None:
-        st.caption(ready_words(ready))
-    _doubtful(graded)
+    if (ready := walk.ready) is not None:
+        st.caption(texts.ready_words(ready))
+    _doubtful(walk.fruit)
 
 
 def _row(
-    round_summary: Round, row: str, layers: list[dict[str, Any]], content: dict[str, object]
+    walk: RoundView, row: str, layers: list[dict[str, Any]], content: dict[str, object]
 ) -> None:
     """Draw a row's map; a tap opens the fruit beside its mark, where it can be judged."""
-    key = f"map_{round_summary.key}_{row}"
+    key = f"map_{walk.key}_{row}"
 
     def tapped() -> None:
         page_elements.name_in_address("fruit", st.session_state[key].tapped or None)
 
     def judged() -> None:
         asked = st.session_state[key].judged
-        views = _views_of(round_summary, asked["key"])
-        if views and asked["act"] != "open":
-            verdict = Verdict(asked["act"])
-            do(partial(resources.store().set_verdict, [view.key for view in views], verdict))
+        if asked["act"] != "open":
+            page_elements.do(
+                partial(page_elements.judge, walk.key, asked["key"], Verdict(asked["act"]))
+            )
 
-    told = picture(
+    drawn = page_elements.picture(
         key,
         {},
         MAP_PX,
@@ -137,40 +125,34 @@ def _row(
         content=content,
         on={"tapped": tapped, "judged": judged},
     )
-    if told.judged and told.judged["act"] == "open":
-        page_elements.leave_for("results", fruit=told.judged["key"])
+    if drawn.judged and drawn.judged["act"] == "open":
+        page_elements.leave_for("results", fruit=drawn.judged["key"])
 
 
-def _answer(graded: GradedRound, fruit: FruitRow) -> dict[str, Any]:
+def _answer(walk: RoundView, fruit: FruitRow) -> dict[str, Any]:
     """Return the words for a fruit beside its mark."""
-    units = resources.settings().units
     verdicts = {
         None: "",
         Verdict.ACCEPTED: f". {_('Marked: a fruit.')}",
         Verdict.REJECTED: f". {_('Marked: not a fruit.')}",
     }
+    words = f"{texts.row_and_side(fruit)}, {_mark_words(fruit, walk.grades)}"
     return {
         "key": fruit.key,
         "picture": round_view.thumbnail_of(fruit),
-        "says": map_words(fruit, graded, units) + verdicts[fruit.verdict],
+        "says": words + verdicts[fruit.verdict],
         "verdict": fruit.verdict,
     }
 
 
-def _opened(round_summary: Round) -> FruitRow | None:
-    views = _views_of(round_summary, st.query_params.get("fruit", ""))
-    return next((view for view in views if view.best), None)
+def _mark_words(fruit: FruitRow, grades: Mapping[str, Grade]) -> str:
+    units = resources.settings().units
+    place, length = texts.position_words(fruit.along_m, units), texts.length_words(fruit, units)
+    return f"{place}: {length}, {texts.grade_words(grades[fruit.key])}"
 
 
-def _views_of(round_summary: Round, key: str) -> list[FruitRow]:
-    """Return all views of the fruit of one of them, as they are in the store now."""
-    views = resources.store().detections(round_summary.key)
-    groups = {view.group for view in views if view.key == key}
-    return [view for view in views if view.group in groups]
-
-
-def _doubtful(graded: GradedRound) -> None:
-    unsure = least_sure_first(graded.fruit)
+def _doubtful(fruit: Sequence[FruitRow]) -> None:
+    unsure = least_sure_first(fruit)
     if not unsure:
         return
 
@@ -187,7 +169,7 @@ def _doubtful(graded: GradedRound) -> None:
     )
     says, go = st.columns([3, 2], vertical_alignment="center")
     says.markdown(words)
-    button(go, _("Show the least certain"), "visibility", look)
+    page_elements.button(go, _("Show the least certain"), "visibility", look)
 
 
 MAP_PX = 1000, 560
@@ -199,16 +181,22 @@ _STEP_COLORS = ("#440154", "#414487", "#2a788e", "#22a884", "#7ad151", "#fde725"
 
 
 def map_picture(
-    lines: list[dict[str, Any]], all_lines: list[dict[str, Any]], units: Units, *, by_length: bool
+    fruit: Sequence[FruitRow],
+    drawn: Sequence[FruitRow],
+    grades: Mapping[str, Grade],
+    *,
+    by_length: bool,
 ) -> tuple[list[dict[str, Any]], dict[str, Any]]:
     """Return the fruit of one row and side as layers of a picture of `MAP_PX`, and its grid.
 
     Parameters
     ----------
-    lines : list of dict
-        The fruit, as `round_view.map_lines` gives them.
-    all_lines : list of dict
+    fruit : sequence of FruitRow
+        The fruit, each with a position.
+    drawn : sequence of FruitRow
         All that are shown, which the scales fit.
+    grades : mapping of str to Grade
+        By the keys of the fruit.
     by_length : bool
         A layer for every step of the length; else one a class.
 
@@ -220,36 +208,43 @@ def map_picture(
     grid : dict
         Lines 'across' and 'up' with their words.
     """
-    ends = {name: _ends(all_lines, name) for name in ("along", "height")}
+    units = resources.settings().units
+    unit, per_metre = units.along
+    places = [_place(view) for view in drawn]
+    lowest, highest = np.min(places, axis=0), np.max(places, axis=0)
+    size_px, edge_px = np.array(MAP_PX), _MAP_EDGE_PX
+    scale = (size_px - 2 * edge_px) / np.maximum(highest - lowest, 0.1 / per_metre)
 
-    def place(name: str, value: float) -> float:
-        (start, end), size = ends[name], MAP_PX[name == "height"]
-        share = (value - start) / max(end - start, 0.1)
-        across = _MAP_EDGE_PX + share * (size - 2 * _MAP_EDGE_PX)
-        return round(size - across if name == "height" else across, 1)
+    def at_px(place_m: Sequence[float]) -> list[float]:
+        x, y = edge_px + (np.array(place_m) - lowest) * scale
+        return [round(float(x), 1), round(float(MAP_PX[1] - y), 1)]
 
-    by_class = {name: _class(name) for name in {line["class"] for line in lines}}
     layers: dict[str, dict[str, Any]] = {}
-    for line in sorted(lines, key=lambda line: line["length"] or 0.0):
-        name, color = _length_step(line["length"], units) if by_length else by_class[line["class"]]
+    for view in sorted(fruit, key=lambda view: view.length_m or 0.0):
+        label = grades[view.key].label
+        name, color = texts.label_words(label), class_color(label)
+        if by_length:
+            name, color = _length_step(units.value(view.length_m), units)
         layer = layers.setdefault(
             name, {"name": name, "color": color, "on": True, "shapes": [], "marks": []}
         )
+        kind = "picked" if view.picked_s is not None else "simulated" if view.simulated else "seen"
         # Without names: a round has thousands of them.
-        at = place("along", line["along"]), place("height", line["height"])
-        layer["marks"].append((*at, line["key"], line["says"], line["mark"], line["views"] == 1))
-    grid = {
-        name: [
-            (place(axis, value), f"{decimal_words(f'{value:g}')} {units.along[0]}")
-            for value in _round_values(*ends[axis])
+        mark = *at_px(_place(view)), view.key, _mark_words(view, grades), kind, view.views == 1
+        layer["marks"].append(mark)
+    grid = {}
+    for axis, name in enumerate(("across", "up")):
+        values = _round_values(*(float(end[axis]) * per_metre for end in (lowest, highest)))
+        grid[name] = [
+            (at_px([value / per_metre] * 2)[axis], f"{decimal_words(f'{value:g}')} {unit}")
+            for value in values
         ]
-        for name, axis in (("across", "along"), ("up", "height"))
-    }
     return list(layers.values()), grid
 
 
-def _class(name: str) -> tuple[str, str]:
-    return label_words(name), class_color(name)
+def _place(fruit: FruitRow) -> tuple[float, float]:
+    """Return where a fruit is drawn: metres along the row and above the camera."""
+    return max(fruit.along_m or 0.0, 0.0), -(fruit.centre_y_m or 0.0)
 
 
 def _length_step(length: float | None, units: Units) -> tuple[str, str]:
@@ -277,24 +272,13 @@ def _round_values(first_value: float, last_value: float) -> list[float]:
     return [round(k * step, 1) for k in range(first, last + 1)]
 
 
-def _ends(lines: list[dict[str, Any]], name: str) -> tuple[float, float]:
-    values = [float(line[name]) for line in lines if line[name] is not None] or [0.0]
-    return min(values), max(values)
-
-
-# Kinds of action by which others must not take away what is being typed.
-_OF_FRUIT = (
-    *("accept", "reject", "clear", "pick", "unpick", "correct", "add"),
-    *("merge", "unmerge", "link-growth", "unlink-growth"),
-)
-
-
-def list_stops(round_summary: Round) -> None:
+def list_stops(round_key: str) -> None:
     """Draw the choice of a stop, and the form that corrects it."""
-    stops = {stop.key: stop for stop in resources.store().stops(round_summary.key)}
-    key = f"stop_of_{round_summary.key}"
+    stops = {stop.key: stop for stop in resources.store().stops(round_key)}
+    key = f"stop_of_{round_key}"
     named = st.query_params.get("stop")  # as the capture page's link does
-    say_missing("stop", stops, _("There is no such stop in this round (any more)."))
+    missing = _("There is no such stop in this round (any more).")
+    page_elements.say_missing("stop", stops, missing)
     if named in stops:
         st.session_state.setdefault(key, named)
     title = _("Stops: move, rename, delete")
@@ -316,62 +300,47 @@ def list_stops(round_summary: Round) -> None:
 
 def _words(stop: StopRecord) -> str:
     note = f" ({stop.note})" if stop.note else ""
-    name = stop_name(stop, resources.settings().units)
+    name = texts.stop_name(stop, resources.settings().units)
     return f"{name}{note} · {counted(stop.fruit, '{n} fruit', '{n} fruit')}"
 
 
 def change_stop(stop: StopRecord, sides: Sequence[str]) -> None:
-    """Draw a stop's place and name to be changed; `sides` are those of its round."""
-    store = resources.store()
-    # Fields of new names after each change of a stop: those on the page keep what was typed.
-    version = f"{stop.key}_{store.newest_action(stop.round_key, without=_OF_FRUIT)}"
-    row, side, position = st.columns(3)
-    number, note = st.columns([1, 2])
-    row.text_input(_("Row"), stop.row or "", key=f"stop_row_{version}")
-    choices = list(dict.fromkeys([*sides, *filter(None, [stop.side])]))
-    index = choices.index(stop.side) if stop.side else None
-    side.selectbox(
-        _("Side"),
-        choices,
-        index,
-        format_func=side_words,
-        key=f"stop_side_{version}",
-        accept_new_options=True,
-    )
+    """Draw a stop's place and name to be changed; `sides` are those of its round.
+
+    A change of the stop by others draws new fields; any other change keeps what was typed.
+    """
     unit, per_metre = resources.settings().units.along
     at = None if stop.position_m is None else stop.position_m * per_metre
-    position.number_input(
-        _("At [{unit}]").format(unit=unit),
-        min(0.0, at or 0.0),
-        None,
-        at,
-        0.1,
-        "%.2f",
-        key=f"stop_at_{version}",
-    )
-    number.number_input(_("Number"), None, None, stop.step, 1, key=f"stop_step_{version}")
-    note.text_input(_("Name"), stop.note, key=f"stop_note_{version}")
+    names = list(dict.fromkeys([*sides, *filter(None, [stop.side])]))
+    index = names.index(stop.side) if stop.side else None
+    drawn = f"{stop.key}_{hash((stop.row, stop.side, at, stop.step, stop.note))}"
+    keys = {name: f"stop_{name}_{drawn}" for name in ("row", "side", "at", "step", "note")}
 
     def move() -> int:
         # What the fields hold now: they may have been typed into since they were drawn.
-        names = ("row", "side", "at", "step", "note")
-        typed = [st.session_state[f"stop_{name}_{version}"] for name in names]
-        row, side, note = ((typed[k] or "").strip() for k in (0, 1, 4))
-        at_m = None if typed[2] is None else typed[2] / per_metre
-        return move_stop(store, stop, Stop(row or None, side or None, at_m, typed[3]), note)
+        row, side, at, step, note = (st.session_state[key] for key in keys.values())
+        at_m = None if at is None else at / per_metre
+        place = Stop(row.strip() or None, (side or "").strip() or None, at_m, step)
+        return move_stop(resources.store(), stop, place, note.strip())
 
     def remove() -> int:
-        return store.delete_stop(stop.key)
+        return resources.store().delete_stop(stop.key)
 
+    row, side, position = st.columns(3)
+    number, note = st.columns([1, 2])
+    row.text_input(_("Row"), stop.row or "", key=keys["row"])
+    how: dict[str, Any] = {"format_func": texts.side_words, "accept_new_options": True}
+    side.selectbox(_("Side"), names, index, key=keys["side"], **how)
+    label, lowest = _("At [{unit}]").format(unit=unit), min(0.0, at or 0.0)
+    position.number_input(label, lowest, None, at, 0.1, "%.2f", key=keys["at"])
+    number.number_input(_("Number"), None, None, stop.step, 1, key=keys["step"])
+    note.text_input(_("Name"), stop.note, key=keys["note"])
     save, delete = st.columns(2)
-    for where, label, icon, act in (
-        (save, _("Save"), "save", move),
-        (delete, _("Delete this stop"), "delete", remove),
-    ):
-        button(where, label, icon, _do, stop.round_key, act, key=f"{icon}_{stop.key}")
+    page_elements.button(save, _("Save"), "save", _do, stop.round_key, move)
+    page_elements.button(delete, _("Delete this stop"), "delete", _do, stop.round_key, remove)
 
 
 def _do(round_key: str, act: Callable[[], int]) -> None:
     """Do it, and find the round's fruit anew."""
-    if do(act):
+    if page_elements.do(act):
         tasks.merge(round_key)

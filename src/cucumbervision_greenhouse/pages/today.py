@@ -10,6 +10,7 @@ import streamlit as st
 
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision_greenhouse import resources, round_view, tasks
+from cucumbervision_greenhouse import words as texts
 from cucumbervision_greenhouse.forecast.picking import PickKind, ready_on, work
 from cucumbervision_greenhouse.language import counted, marked, ngettext, plain, sentence
 from cucumbervision_greenhouse.language import gettext as _
@@ -19,49 +20,39 @@ from cucumbervision_greenhouse.pages.round_choice import label_options
 from cucumbervision_greenhouse.round_view import doubtful
 from cucumbervision_greenhouse.rounds.forecasting import Age
 from cucumbervision_greenhouse.rounds.walking import is_demonstration
-from cucumbervision_greenhouse.words import (
-    age_words,
-    class_words,
-    clock_words,
-    count_words,
-    height_words,
-    pick_words,
-    position_words,
-    round_day,
-    side_words,
-    today_words,
-)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from cucumbervision_greenhouse.forecast.forecast import Forecast
     from cucumbervision_greenhouse.forecast.picking import Pick
+    from cucumbervision_greenhouse.round_view import RoundView
     from cucumbervision_greenhouse.rounds.forecasting import RowPicks, Today
     from cucumbervision_greenhouse.store.records import Round
 
 
 @page_elements.of_round
-def page(round_summary: Round) -> None:
+def page(walk: RoundView) -> None:
     """Draw the page."""
+    round_summary = walk.round
     today = round_view.today_of(round_summary)
     _age(round_summary, today)
-    _next(round_summary, today)
+    _next(walk, today)
     if not today.rows or today.forecast is None:
         return
-    _ready(round_summary, today.forecast)
+    _ready(walk, today.forecast)
     st.header(_("Pick list"))
     address = f"/api/print/{round_summary.key}"
     st.link_button(_("Print"), address, icon=":material/print:", width="stretch")
-    _picks(round_summary, today)
+    _picks(walk, today)
 
 
 def _age(round_summary: Round, today: Today) -> None:
-    walked = round_day(round_summary.walked_s)
+    walked = texts.round_day(round_summary.walked_s)
     if not round_summary.stops:
         return
     if today.age_days < 0:
-        st.warning(clock_words(round_summary.walked_s), icon=":material/error:")
+        st.warning(texts.clock_words(round_summary.walked_s), icon=":material/error:")
         return
     if today.age is Age.USELESS:
         words = _(
@@ -69,7 +60,8 @@ def _age(round_summary: Round, today: Today) -> None:
             "for today's list."
         )
         st.warning(
-            words.format(age=age_words(today.age_days), when=walked), icon=":material/history:"
+            words.format(age=texts.age_words(today.age_days), when=walked),
+            icon=":material/history:",
         )
         return
     words = _ago(today.age_days).format(when=walked)
@@ -89,14 +81,15 @@ def _ago(days: int) -> str:
     ).replace("{n}", str(days))
 
 
-def _next(round_summary: Round, today: Today) -> None:
+def _next(walk: RoundView, today: Today) -> None:
     """Show what to do next, with a link to the page for it."""
+    round_summary = walk.round
     progress = tasks.progress(round_summary.key)
     steps: list[tuple[str, str, str]] = []
     if progress.waiting:
         tasks.wake()
-    if not round_summary.stops and progress.first_words:
-        steps.append((progress.first_words, "capture", _("Capture")))
+    if not round_summary.stops and progress.first:
+        steps.append((progress.first, "capture", _("Capture")))
     elif progress.waiting:
         words = counted(
             progress.waiting,
@@ -104,16 +97,16 @@ def _next(round_summary: Round, today: Today) -> None:
             "{n} captures are still being measured.",
         )
         steps.append((words, "capture", _("Capture")))
-    if not round_summary.stops and is_demonstration(round_summary.key) and progress.title:
+    if not round_summary.stops and is_demonstration(round_summary.key) and progress.words:
         st.info(_("The example is being measured; its fruit appear here."))
-    elif not round_summary.stops and not progress.first_words:
+    elif not round_summary.stops and not progress.first:
         page_elements.first_steps(begun=True)
     elif round_summary.stops and today.age is not Age.FRESH:
         steps.append((_("Start a new round and walk again."), "capture", _("Capture")))
     elif round_summary.stops and not today.rows and not progress.waiting:
         words = _("No fruit is ready today. The forecast shows when.")
         steps.append((words, "forecast", _("Forecast")))
-    if unsure := len(doubtful(round_view.content_of(round_summary).views)):
+    if unsure := len(doubtful(walk.content.views)):
         words = counted(
             unsure,
             "{n} fruit was seen only once, with low confidence. Please check.",
@@ -127,16 +120,16 @@ def _next(round_summary: Round, today: Today) -> None:
             page_elements.link(target, label)
 
 
-def _ready(round_summary: Round, forecast: Forecast) -> None:
+def _ready(walk: RoundView, forecast: Forecast) -> None:
     """Say what is still to be picked, by class and row."""
-    picked = _picked(round_summary)
+    picked = _picked(walk)
 
     def numbers(row: str | None = None) -> dict[str, str | int]:
         ready = ready_on(forecast, row=row, picked=picked)
         classes = ready.expected if len(ready.expected) > 1 else {}
         return {
-            _("Ready today"): count_words(ready.fruit),
-            **{class_words(name): count_words(number) for name, number in classes.items()},
+            _("Ready today"): texts.count_words(ready.fruit),
+            **{texts.class_words(k): texts.count_words(number) for k, number in classes.items()},
             _("Sure"): ready.sure,
             _("May be ready"): ready.may_be,
             _("Too long"): ready.too_long,
@@ -150,7 +143,7 @@ def _ready(round_summary: Round, forecast: Forecast) -> None:
     words = _(
         "Classes of {crop}. Ready is the expected number: the sum of what is likely of each fruit."
     )
-    st.caption(plain(words.format(crop=_(resources.profile_of(round_summary)[1].title))))
+    st.caption(plain(words.format(crop=_(walk.profile.title))))
 
 
 _SAID = {
@@ -163,10 +156,10 @@ _SAID = {
 }
 
 
-def _picks(round_summary: Round, today: Today) -> None:
+def _picks(walk: RoundView, today: Today) -> None:
     @st.fragment
     def _draw() -> None:
-        picked = _picked(round_summary)
+        picked = _picked(walk)
         rows = {row.row: row for row in today.rows}
         ready = {name: row_picks.of(PickKind.READY) for name, row_picks in rows.items()}
         done = {
@@ -199,8 +192,8 @@ def _picks(round_summary: Round, today: Today) -> None:
                 continue
             if explanation := _SAID.get(kind):
                 st.markdown(_(explanation))
-            lines = _lines(round_summary, picks, picked)
-            key = f"picks_{kind}_{round_summary.key}_{row.row}"
+            lines = _lines(walk, picks, picked)
+            key = f"picks_{kind}_{walk.key}_{row.row}"
             page_elements.fruit_list(key, _("Fruit to pick"), lines, words, partial(_keep, key))
         _all_picked(row, picked)
         _work(today, picked)
@@ -212,29 +205,28 @@ def _is_picked(pick: Pick, picked: set[str]) -> bool:
     return pick.fruit.fruit_id in picked
 
 
-def _picked(round_summary: Round) -> set[str]:
+def _picked(walk: RoundView) -> set[str]:
     """Return the keys of the fruit that are picked by now."""
-    groups = round_view.content_of(round_summary).group_of
-    return {groups.get(key, key) for key in resources.store().picked(round_summary.key)}
+    groups = walk.content.group_of
+    return {groups.get(key, key) for key in resources.store().picked(walk.key)}
 
 
-def _lines(round_summary: Round, picks: Sequence[Pick], picked: set[str]) -> list[dict[str, Any]]:
-    units, graded = resources.settings().units, round_view.graded_round(round_summary)
-    views = {view.key: view for view in graded.fruit}
+def _lines(walk: RoundView, picks: Sequence[Pick], picked: set[str]) -> list[dict[str, Any]]:
+    units = resources.settings().units
+    views = {view.key: view for view in walk.fruit}
     lines = []
     for pick in picks:
-        key = pick.fruit.fruit_id
-        view = views.get(key)
+        if (view := views.get(pick.fruit.fruit_id)) is None:  # deleted since
+            continue
         says = [
-            f"{position_words(pick.fruit.position_m, units)} {side_words(pick.fruit.side)}".strip(),
-            "" if view is None else today_words(view, graded.today_m.get(key), units),
-            pick_words(pick),
-            "" if view is None else height_words(view, units),
-            _("computer-made") if view is not None and view.simulated else "",
+            f"{texts.position_words(view.along_m, units)} {texts.side_words(view.side)}".strip(),
+            texts.today_words(view, walk.today_m.get(view.key), units),
+            texts.pick_words(pick),
+            texts.height_words(view, units),
+            _("computer-made") if view.simulated else "",
         ]
-        picture = None if view is None else round_view.thumbnail_of(view)
-        picked_now = _is_picked(pick, picked)
-        lines.append({"key": key, "picture": picture, "says": says, "picked": picked_now})
+        picture, is_picked = round_view.thumbnail_of(view), _is_picked(pick, picked)
+        lines.append({"key": view.key, "picture": picture, "says": says, "picked": is_picked})
     return lines
 
 

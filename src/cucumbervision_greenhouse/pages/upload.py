@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 import streamlit as st
@@ -9,18 +10,19 @@ import streamlit as st
 from cucumbervision.capture.readers import RECORDING_SUFFIXES
 from cucumbervision.errors import NameRefusedError
 from cucumbervision.names import LONGEST_NAME, checked_name
-from cucumbervision_greenhouse import resources, round_view, tasks
+from cucumbervision_greenhouse import resources, tasks
 from cucumbervision_greenhouse.language import counted, plain, sentence, words_of
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.pages import page_elements
 from cucumbervision_greenhouse.pages.page_elements import component
 from cucumbervision_greenhouse.rounds.walking import NextPlace, next_place, sides_of
-from cucumbervision_greenhouse.uploads import CAMERAS, MOST_FILES, SentPlace
+from cucumbervision_greenhouse.uploads import CAMERAS, MOST_FILES
 from cucumbervision_greenhouse.words import round_day, side_words
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
+    from cucumbervision_greenhouse.round_view import RoundView
     from cucumbervision_greenhouse.store.records import Round
     from cucumbervision_greenhouse.uploads import Upload
 
@@ -30,8 +32,9 @@ _ENDINGS = [*("zip", "json", "csv", "raw"), *("png", "jpg", "jpeg", "tif", "tiff
 
 
 @page_elements.of_round
-def page(round_summary: Round) -> None:
+def page(walk: RoundView) -> None:
     """Draw the page."""
+    round_summary = walk.round
     st.write(
         _(
             "Zips of captures, or colour and depth pictures with matching names. Many at once, or "
@@ -52,7 +55,7 @@ def page(round_summary: Round) -> None:
         key=f"upload_{round_summary.key}",
         data={
             "round": round_summary.key,
-            "place": place.model_dump(),
+            "place": asdict(place),
             "camera": camera,
             "limit_mb": resources.settings().upload_limit_mb,
             "limit_files": MOST_FILES,
@@ -60,14 +63,14 @@ def page(round_summary: Round) -> None:
             "accept": ",".join(f".{ending}" for ending in _ENDINGS),
         },
     )
-    if doubts := round_view.doubts_of(round_summary):
-        words = f"{_('Check the data of this round.')} {'. '.join(map(words_of, doubts))}."
+    if walk.doubts:
+        words = f"{_('Check the data of this round.')} {'. '.join(map(words_of, walk.doubts))}."
         st.warning(plain(words), icon=":material/error:")
     for upload in resources.uploads().all(round_summary.key)[:_SHOWN]:
         _show(upload)
 
 
-def _place(round_summary: Round) -> SentPlace:
+def _place(round_summary: Round) -> NextPlace:
     """Draw where the first capture was taken, for files that do not say; it goes on from there.
 
     What was typed stays until it was sent, also in the address for a reload; another row goes on
@@ -115,7 +118,7 @@ def _draw_place(
     sides: Sequence[str],
     change_row: Callable[[], None],
     keep: Callable[[], None],
-) -> SentPlace:
+) -> NextPlace:
     """Draw the fields of a place by the keys of their values, and return what they hold."""
     unit, per_metre = resources.settings().units.along
     # In two lines, so that no choice is cut off on a tablet.
@@ -127,7 +130,7 @@ def _draw_place(
     except NameRefusedError as error:
         st.warning(sentence(error), icon=":material/error:")
         named = ""
-    return SentPlace(
+    return NextPlace(
         row=named,
         side=side.segmented_control(
             _("Side"),

@@ -305,12 +305,17 @@ def round_figures(content: RoundContent, table: Sequence[FruitRow]) -> RoundFigu
     )
 
 
+def along_rows(view: FruitRow) -> tuple[object, ...]:
+    """Return a key by which fruit are sorted by row and position; those without one come last."""
+    return natural_key(view.row or ""), view.along_m is None, view.along_m or 0.0, view.key
+
+
 @lru_cache(maxsize=CONTENTS)  # all pages of a round ask for the same
 def fruit_table(content: RoundContent) -> tuple[FruitRow, ...]:
     """Return a round's fruit, each once, by row and position; rejected ones are left out."""
     pooled = _pooled(content)
     best = counted_fruit(content.views)
-    best.sort(key=lambda v: (natural_key(v.row or ""), v.along_m is None, v.along_m or 0.0, v.key))
+    best.sort(key=along_rows)
     return tuple(
         view.with_(number=number, **_pooled_length(view, pooled.get(view.key)))
         for number, view in enumerate(best, 1)

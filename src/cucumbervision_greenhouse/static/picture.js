@@ -35,10 +35,10 @@ async function prompt(data, own, kind, value, redraw, send) {
   try {
     const { outline } = await post("/api/outline", asked);
     tell(_("Measuring …"), outline);
-    const { words, job } = await post("/api/fruit", data.adds ? asked : { ...asked, fruit: data.fruit });
+    const { words, action } = await post("/api/fruit", data.adds ? asked : { ...asked, fruit: data.fruit });
     own.stale = true; // the next picture has it among its layers
     if (data.adds) { tell(words, outline); send("added", words); }
-    else send("corrected", job); // the page that is drawn then says what became of it
+    else send("corrected", action); // the page that is drawn then says what became of it
   } catch (fault) { tell(fault.message, []); }
 }
 
@@ -276,6 +276,7 @@ function chips(root, data, own, again) {
 
 export default function (component) {
   const { data, parentElement: root, setTriggerValue } = component;
+  if (!state.has(root) && data.fruit && matchMedia("(max-width: 640px)").matches) root.host.scrollIntoView({ block: "start" });
   const own = state.get(root) || { image: "", on: {}, tool: "", ends: [], drag: null, draft: [], told: "", job: null, prepared: "", zoomed: false, details: false, fingers: new Map(), moved: false };
   state.set(root, own);
   if (own.stale) Object.assign(own, { stale: false, draft: [] });

@@ -155,13 +155,8 @@ def test_what_waits_is_measured_once_though_the_program_was_killed_in_between(
     add_one(store, one.round_key, one.load(), options, key=one.key)
     settled: list[str] = []
 
-    def settle(round_key: str) -> str:
-        settled.append(round_key)
-        return ""
-
-    assert (
-        measure_waiting(waiting, measurer, store, lambda: options, settle, Job(1, "measuring")) == 1
-    )
+    job = Job("measuring")
+    assert measure_waiting(waiting, measurer, store, lambda: options, settled.append, job) == 1
     assert waiting.captures() == []
     assert settled == [DEMONSTRATION]
     assert [stop.key for stop in store.stops(DEMONSTRATION)] == [one.key]
@@ -169,7 +164,7 @@ def test_what_waits_is_measured_once_though_the_program_was_killed_in_between(
 
 
 def test_a_damaged_capture_does_not_hold_the_others_up(
-    store: Store, waiting: WaitingCaptures
+    store: Store, waiting: WaitingCaptures, caplog: pytest.LogCaptureFixture
 ) -> None:
     replay = folder()
     shutter = Shutter(store, waiting, lambda: None)
@@ -179,11 +174,10 @@ def test_a_damaged_capture_does_not_hold_the_others_up(
     first, second = waiting.captures()
     (first.folder / "color_000000.png").write_bytes(b"no picture")
     measurer, options = SharedMeasurer(load_registry()), MeasureOptions(instances="dataset")
-    job = Job(1, "measuring")
-    measure_waiting(waiting, measurer, store, lambda: options, lambda _: "", job)
+    measure_waiting(waiting, measurer, store, lambda: options, print, Job("measuring"))
     assert [stop.key for stop in store.stops(DEMONSTRATION)] == [second.key]
     assert [one.key for one in waiting.set_aside()] == [first.key]
-    assert "color_000000.png" in job.notes[0]
+    assert "color_000000.png" in caplog.text
 
 
 def test_what_waits_is_not_tried_while_nothing_can_be_measured(
@@ -195,7 +189,7 @@ def test_what_waits_is_not_tried_while_nothing_can_be_measured(
     lost = MeasureOptions(instances=str(tmp_path / "lost.json"))
     measurer = SharedMeasurer(load_registry())
     with pytest.raises(InstancesError):
-        measure_waiting(waiting, measurer, store, lambda: lost, lambda _: "", Job(1, "measuring"))
+        measure_waiting(waiting, measurer, store, lambda: lost, print, Job("measuring"))
     assert [one.tries for one in waiting.captures()] == [0]
 
 

@@ -128,13 +128,13 @@ def test_the_page_names_the_days_of_the_captures_and_of_the_picking(
     # The round was begun on day 20000 and its captures taken that day; it is printed 3 days later.
     monkeypatch.setattr("time.time", lambda: WALK.started_s + 3 * 86400)
     page = render_sheet(round_tables(store, WALK.key, load_profile("long-cucumber")))
-    assert "Walked on 2024-10-04" in page
-    assert "To pick on 2024-10-07" in page
+    assert "Walked on Fri 4 Oct" in page
+    assert "To pick on Mon 7 Oct" in page
     late = Round(key_of("begun later"), "late", "", WALK.started_s + 86400.0)
     store.save_round(late)
     stop = replace(store.stop(key_of("export", 0)), key=key_of("late"), round_key=late.key)
     store.save_stop(stop)
-    assert "Walked on 2024-10-04" in render_sheet(round_tables(store, late.key))
+    assert "Walked on Fri 4 Oct" in render_sheet(round_tables(store, late.key))
 
 
 def test_the_page_is_escaped_and_loads_nothing(tables: RoundTables) -> None:

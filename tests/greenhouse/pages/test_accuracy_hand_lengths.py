@@ -87,9 +87,9 @@ def test_a_table_that_a_spreadsheet_saved_is_read(store: Store, tmp_path: Path) 
     ("before", "after", "words"),
     [
         (b"capture,", b"capt,", "has no column capture"),
-        (b"20.00", b"true", "line 2: 'true' is no length"),
-        (b"20.00", b"-1", "line 2: '-1' is no length"),
-        (b"20.00", b"inf", "line 2: 'inf' is no length"),
+        (b"20.00", b"true", "line 2: length_1_cm 'true' is not"),
+        (b"20.00", b"-1", "line 2: length_1_cm '-1' is not"),
+        (b"20.00", b"inf", "line 2: length_1_cm 'inf' is not"),
         (b"20.00", b"2" * 200_000, "a.csv: "),
     ],
 )

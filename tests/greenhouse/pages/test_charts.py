@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("streamlit")
 
 from cucumbervision_greenhouse.pages import charts
-from cucumbervision_greenhouse.round_view import length_days
+from cucumbervision_greenhouse.pages.days import length_days
 from cucumbervision_greenhouse.settings import Units
 from cucumbervision_greenhouse.store.records import key_of
 from cucumbervision_greenhouse.store.repository import Store
@@ -21,10 +21,7 @@ COLORS = {
 
 def test_every_class_of_the_lines_has_its_colour() -> None:
     named = ("undecided", "class II", "no class", "class I", "class II")
-    lines = [
-        {"length": 20.0 + k, "class": name, "along": 0.1 * k, "height": 0.0, "mark": "seen"}
-        for k, name in enumerate(named)
-    ]
+    lines = [{"length": 20.0 + k, "class": name} for k, name in enumerate(named)]
     bars = charts.histogram(lines, Units("cm")).to_dict()["layer"][1]
     assert bars["encoding"]["color"]["scale"] == COLORS
 

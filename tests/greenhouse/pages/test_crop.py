@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -14,7 +13,7 @@ from tests.greenhouse.pages.app_pages import app, said, tables, tap
 from cucumbervision.crop.profiles import load_profile
 from cucumbervision_greenhouse import resources
 from cucumbervision_greenhouse.language import gettext
-from cucumbervision_greenhouse.pages.crop import CropLimits, save_own_profile
+from cucumbervision_greenhouse.pages.crop import save_own_profile, with_limits
 from cucumbervision_greenhouse.store.records import Round
 from cucumbervision_greenhouse.store.repository import open_store
 
@@ -89,11 +88,11 @@ def test_limits_that_another_viewer_changed_are_shown(
 ) -> None:
     monkeypatch.setenv("CUCUMBERVISION_PROFILES", str(tmp_path))
     crop = load_profile("long-cucumber")
-    drawn = CropLimits.of(crop).applied_to(crop, "ours")
+    drawn = with_limits(crop, title="ours")
     save_own_profile(drawn)
     resources.change_settings(profile="ours")
     test = app("settings")
-    other = replace(CropLimits.of(drawn), edges_m=(0.21, 0.26, 0.36)).applied_to(drawn)
+    other = with_limits(drawn, edges_m=(0.21, 0.26, 0.36))
     save_own_profile(other)
     tap(test, "Save and use for new rounds")
     assert load_profile("ours") == other
@@ -108,7 +107,7 @@ def test_crops_of_one_title_in_the_language_shown_are_told_apart(
     resources.change_settings(language="nl")
     title = gettext(load_profile("long-cucumber").title)
     courgette = load_profile("courgette")
-    save_own_profile(CropLimits.of(courgette).applied_to(courgette, title))
+    save_own_profile(with_limits(courgette, title=title))
     choices = next(box.options for box in app("today").selectbox if box.label == "Gewas")
     assert choices.count(title) == 1
     assert f"{title} (2)" in choices

@@ -11,8 +11,16 @@ pytest.importorskip("streamlit")
 
 from tests.greenhouse.pages.app_pages import WALK, app, classes, keys, listed, said, tap
 
+from cucumbervision_greenhouse.rounds.fruit_table import fruit_table, read_round
 from cucumbervision_greenhouse.store.records import Verdict
 from cucumbervision_greenhouse.store.repository import open_store
+
+
+def walked(house: Path) -> list[str]:
+    """The keys of the fruit, in the order of the rows."""
+    with open_store(house) as store:
+        return [fruit.key for fruit in fruit_table(read_round(store, WALK))]
+
 
 pytestmark = pytest.mark.usefixtures("fresh_caches")
 
@@ -100,6 +108,8 @@ def test_a_fruit_is_accepted_picked_and_both_are_undone(house: Path) -> None:
 
     press("Accept")
     assert view().verdict is Verdict.ACCEPTED
+    assert test.query_params["fruit"] != key  # reviewing goes on to the next fruit
+    press("Previous")
     press("Picked")
     assert view().picked_s is not None
     press("Undo")
@@ -125,8 +135,7 @@ def test_the_other_finds_of_a_picture_are_accepted_at_once(house: Path) -> None:
 
 
 def test_previous_and_next_walk_through_the_fruit(house: Path) -> None:
-    with open_store(house) as store:
-        keys = [view.key for view in store.detections(WALK)]
+    keys = walked(house)
     test = app("results", fruit=keys[0])
     assert next(b for b in test.button if b.label == "Previous").disabled
     next(b for b in test.button if b.label == "Next").click().run()
@@ -136,10 +145,12 @@ def test_previous_and_next_walk_through_the_fruit(house: Path) -> None:
 
 
 def test_a_fruit_marked_as_none_keeps_its_place_among_the_others(house: Path) -> None:
-    with open_store(house) as store:
-        keys = [view.key for view in store.detections(WALK) if view.best]
+    keys = walked(house)
     test = app("results", fruit=keys[1])
     tap(test, "Not a fruit")
+    assert test.query_params["fruit"] == keys[2]
+    test.query_params["fruit"] = keys[1]
+    test.run()
     for label, key in (("Next", keys[2]), ("Previous", keys[0])):
         tap(test, label)
         assert test.query_params["fruit"] == key

@@ -95,7 +95,12 @@ _Reader = TypeVar("_Reader", bound=Callable[..., Any])
 
 def _cached(**options: Any) -> Callable[[_Reader], _Reader]:
     """Keep what a function reads, by default of a round, until the round changes."""
-    how = {"show_spinner": False, "max_entries": KEPT, "ttl": 600, "hash_funcs": {Round: _version}}
+    how: dict[str, Any] = {
+        "show_spinner": False,
+        "max_entries": KEPT,
+        "ttl": 600,
+        "hash_funcs": {Round: _version},
+    }
     return cast("Callable[[_Reader], _Reader]", st.cache_resource(**how | options))
 
 
@@ -173,6 +178,10 @@ class RoundView:
     def forecast(self) -> Forecast:
         """The forecast from today on."""
         return forecast_today(store(), self.round, self.profile, time.time(), self.content)
+
+    def counts(self, fruit: Iterable[FruitRow]) -> Counter[str]:
+        """Return how many of these fruit are in each class today, by the labels of the classes."""
+        return Counter(self.grades[view.key].label for view in fruit)
 
 
 @_cached()

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar
 
 import streamlit as st
 
@@ -101,7 +101,8 @@ def _cached(**options: Any) -> Callable[[_Reader], _Reader]:
         "ttl": 600,
         "hash_funcs": {Round: _version},
     }
-    return cast("Callable[[_Reader], _Reader]", st.cache_resource(**how | options))
+    keep: Callable[[_Reader], _Reader] = st.cache_resource(**how | options)
+    return keep
 
 
 _OF_TODAY = {Round: _unpicked_version}

@@ -240,5 +240,5 @@ def _measuring_words(done: int, waiting: int, elsewhere: int, fault: str) -> str
     )
     if not elsewhere:
         return words
-    others = counted(elsewhere, "{n} of other rounds waits too", "{n} of other rounds wait too")
-    return f"{words}; {others}"
+    rounds = counted(elsewhere, "{n} of other rounds waits too", "{n} of other rounds wait too")
+    return f"{words}; {rounds}"

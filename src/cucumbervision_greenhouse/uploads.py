@@ -231,8 +231,8 @@ class Uploads:
             path.touch()  # an empty file has no parts
         files = [(file.name, path) for file, path in zip(sending.files, paths, strict=True)]
         # Of the files themselves no more arrives than was announced.
-        most = max(sending.size, Limits().total_bytes)
-        limits = Limits(files=MOST_FILES, file_bytes=most, total_bytes=most)
+        limit_bytes = max(sending.size, Limits().total_bytes)
+        limits = Limits(files=MOST_FILES, file_bytes=limit_bytes, total_bytes=limit_bytes)
         walk = sending.place
         try:
             with tempfile.TemporaryDirectory(dir=self.folder) as folder:
@@ -246,10 +246,10 @@ class Uploads:
         except CucumberVisionError as error:
             outcomes.append(_lost(str(error.source or ""), error.message))
         with self._lock:
-            known = self.read(key)
-            if known is not None:
+            upload = self.read(key)
+            if upload is not None:
                 done = {"outcomes": tuple(outcomes), "done": True}
-                self._write(known.model_copy(update=done))
+                self._write(upload.model_copy(update=done))
             for path in paths:
                 path.unlink(missing_ok=True)
             for old in self.all()[_KEPT:]:

@@ -192,10 +192,10 @@ def bias_words(own_truth: OwnTruth, units: Units) -> str:
     if not errors_m:
         return _("None of these fruit has a length of the kind that was measured by hand.")
     mean_m, off_m = fmean(errors_m), fmean(map(abs, errors_m))
-    long, short = _("{mean} too long on average"), _("{mean} too short on average")
+    over, below = _("{mean} too long on average"), _("{mean} too short on average")
     return _("{n} fruit: measured {error}; a single fruit is {off} off.").format(
         n=len(errors_m),
-        error=(long if mean_m > 0 else short).format(mean=units.text(abs(mean_m))),
+        error=(over if mean_m > 0 else below).format(mean=units.text(abs(mean_m))),
         off=units.text(off_m),
     )
 
@@ -341,11 +341,11 @@ def write_hand_lengths(
     text = io.StringIO()
     table = csv.writer(text)
     table.writerow(COLUMNS)
-    here = {(capture_name(view), view.fruit) for view in fruit}
+    places = {(capture_name(view), view.fruit) for view in fruit}
     written = [
         (x.capture, x.fruit, x.specimen, *_cells(x.lengths_m), x.kind)
         for x in (read_truth(path).lengths if path.exists() else ())
-        if (x.capture, x.fruit) not in here
+        if (x.capture, x.fruit) not in places
     ]
     for view in fruit:
         lengths_m = lengths.get(view.key, ())

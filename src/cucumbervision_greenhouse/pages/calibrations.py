@@ -197,8 +197,8 @@ def effect_words(site: SiteCalibration, length: LengthDefinition, units: Units) 
     words = []
     if site.depth_scale is not None:
         percent = 100 * (site.depth_scale.value - 1)
-        long, short = _("{percent} % too long"), _("{percent} % too short")
-        error = (long if percent > 0 else short).format(percent=number_words(abs(percent), 1))
+        over, below = _("{percent} % too long"), _("{percent} % too short")
+        error = (over if percent > 0 else below).format(percent=number_words(abs(percent), 1))
         words.append(
             counted(
                 site.depth_scale.captures,

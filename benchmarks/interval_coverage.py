@@ -1,18 +1,20 @@
-"""Coverage and width of the shipped intervals on fruit that they were not learnt from.
+"""Coverage and width of M6's intervals by group, on drawn fruit that they were not learnt from.
 
-    python benchmarks/interval_coverage.py SET [--split test] [--fruit 200]
+    python benchmarks/interval_coverage.py SET [--models FILE] [--measured FILE]
 
-SET is a folder by `cucumbervision synth` with depth, of another seed than the set of learning:
-its fruit are measured on their true masks ('given') and as the shipped networks find and draw
-them ('perceived'). Fruit of the stress set, numbers below those of learning, have exact and
-disturbed outlines. Level 90 %, depth scale known; an interval wider than a factor of four is not
-given.
+SET is a folder by `cucumbervision synth` with depth, of another seed than the set of learning. Its
+fruit are measured on their true masks ('given') and as the shipped networks find, draw and look at
+them. `--models` compares other interval models with the shipped ones, on the same measurements;
+`--measured` keeps these, and resumes an interrupted run. Level 90 %, depth scale known; fruit cut
+by the picture's edge are left out, and an interval wider than a factor of four is not given.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import tempfile
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,90 +22,99 @@ import pandas as pd
 from rich.console import Console
 from rich.table import Table
 
-from cucumbervision.methods.intervals import WIDEST, shipped_interval_models
-from cucumbervision_lab.cli import part_bars
-from cucumbervision_lab.evaluate.benchmark import TRUTH_OF, run_cases, with_intervals
-from cucumbervision_lab.evaluate.cases import stress_cases
-from cucumbervision_lab.evaluate.measure_case import CaseOptions, Masks, readings_frame
-from cucumbervision_lab.evaluate.scenes import set_records
+from cucumbervision.methods.intervals import (
+    WIDEST,
+    has_no_interval,
+    read_interval_models,
+    shipped_interval_models,
+)
+from cucumbervision_lab.cli.screen import part_bars
+from cucumbervision_lab.data.checks import open_dataset
+from cucumbervision_lab.train.measured_ends import measure_drawn, read_measured
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable
 
-IN_SIGHT = 0.10  # of the outline's pixels: fruit hidden by more count as hidden
-WAYS = {
-    Masks.EXACT: "given mask",
-    Masks.PERCEIVED: "networks' mask",
-    Masks.DISTURBED: "disturbed by 1.5 px",
+    from cucumbervision.methods.intervals import IntervalModels
+    from cucumbervision_lab.train.measured_ends import MeasuredFruit
+
+GROUPS = {
+    "hidden share": (0.0, 0.1, 0.3, 1.0),
+    "length, m": (0.0, 0.16, 0.26, 1.0),
+    "distance, m": (0.0, 0.5, 0.7, 5.0),
+    "tilt, degrees": (0.0, 15.0, 30.0, 45.0, 90.0),
 }
 
 
-def read(folder: Path, split: str, fruit: int, keep: Path) -> pd.DataFrame:
-    """Measure the fruit, or take those that were."""
-    with part_bars() as report:
-        records = set_records(folder, split, keep / "pictures.jsonl", 1, report)
-        options = CaseOptions((Masks.EXACT, Masks.DISTURBED))
-        if fruit:
-            records += run_cases(stress_cases(fruit), options, keep / "stress.jsonl", 1)
-    readings = with_intervals(readings_frame(records), shipped_interval_models())
-    truth_kind = readings["method"].map(TRUTH_OF)
-    readings = readings[truth_kind.notna() & readings["length_m"].notna()].copy()
-    readings["true_m"] = [row[TRUTH_OF[row["method"]]] for _, row in readings.iterrows()]
-    readings["cut"] = readings["cut_off"].astype("boolean").fillna(value=False).astype(bool)
-    return readings
+def measure(folder: Path, keep: Path) -> list[MeasuredFruit]:
+    """Measure the pictures that the file does not hold yet, and return the fruit of all."""
+    data, lines = open_dataset(folder), keep.read_text("utf-8") if keep.exists() else ""
+    done = {json.loads(line)["picture"] for line in lines.splitlines()}
+    with part_bars() as report, keep.open("a", encoding="utf-8") as stream:
+        for picture in data.pictures:
+            if picture.file not in done:
+                fruit = [asdict(measured) for measured in measure_drawn(picture, data)]
+                stream.write(json.dumps({"picture": picture.file, "fruit": fruit}) + "\n")
+            report("pictures", 1, len(data.pictures))
+    return read_measured([keep])
 
 
-def parts(readings: pd.DataFrame) -> Iterator[tuple[str, str, pd.DataFrame]]:
-    """Yield the readings by where they are from, whose masks they have, and what hides them."""
-    drawn = readings["suite"] == "detection"
-    for name, suite_readings in (("pictures", readings[drawn]), ("stress set", readings[~drawn])):
-        for masks, mask_readings in suite_readings.groupby("masks", sort=False):
-            hidden = mask_readings["hidden_share"] > IN_SIGHT
-            kinds = {
-                "all": mask_readings,
-                "in sight": mask_readings[~hidden & ~mask_readings["cut"]],
-                "partly hidden": mask_readings[hidden & ~mask_readings["cut"]],
-                "cut by the edge": mask_readings[mask_readings["cut"]],
-            }
-            for kind, chosen in kinds.items():
-                if len(chosen):
-                    yield f"{name}, {WAYS[Masks(masks)]}", kind, chosen
+def with_intervals(fruit: Iterable[MeasuredFruit], book: IntervalModels) -> pd.DataFrame:
+    """Return the fruit in groups, with whether an interval is given, whether it holds, its width."""
+    rows = []
+    for measured in fruit:
+        length_m, true_m, features = measured.lengths_m[0], measured.true_m[0], measured.features
+        low_m, high_m = book.interval("M6", length_m, features) or (0.0, 0.0)
+        low_m, high_m = min(low_m, length_m), max(high_m, length_m)
+        values = measured.hidden_share, true_m, features["distance_m"], 60 * features["tilt"]
+        is_given = high_m <= WIDEST * low_m and not has_no_interval(features)
+        holds = low_m <= true_m <= high_m
+        masks = "given" if measured.given else "networks'"
+        if not measured.cut:
+            rows.append((masks, *values, is_given, holds, (high_m - low_m) / length_m))
+    return pd.DataFrame(rows, columns=["masks", *GROUPS, "given", "holds", "width"])
 
 
-def cells(readings: pd.DataFrame) -> list[str]:
-    """Return count, how many have no interval, and of the others coverage and median width."""
-    stated = readings[readings["high_m"] <= WIDEST * readings["low_m"]]
-    covered = 100 * stated["true_m"].between(stated["low_m"], stated["high_m"]).mean()
-    width = 100 * ((stated["high_m"] - stated["low_m"]) / stated["length_m"]).median()
-    return [str(len(readings)), str(len(readings) - len(stated)), f"{covered:.1f}", f"{width:.1f}"]
+def cells(fruit: pd.DataFrame) -> list[str]:
+    """Return how many have an interval, its coverage, and its median width."""
+    given = fruit[fruit["given"]]
+    percent = 100 * given["holds"].mean(), 100 * given["width"].median()
+    return [str(len(given)), *(f"{value:.0f}" for value in percent)]
+
+
+def coverage_table(books: dict[str, pd.DataFrame], masks: str) -> Table:
+    """Return the table of one kind of masks."""
+    table = Table("group", "fruit", title=f"{masks} masks: intervals given, hold %, median width %")
+    for title in books:
+        for head in (title, "hold", "width"):
+            table.add_column(head, justify="right")
+    chosen = [book[book["masks"] == masks].reset_index(drop=True) for book in books.values()]
+    parts = {"all": chosen[0].index}
+    for name, edges in GROUPS.items():
+        bins = pd.cut(chosen[0][name], list(edges), include_lowest=True, right=False)
+        for edge, part in chosen[0].groupby(bins, observed=True):
+            parts[f"{name} {edge}"] = part.index
+    for name, index in parts.items():
+        of_books = [cell for book in chosen for cell in cells(book.loc[index])]
+        table.add_row(name, str(len(index)), *of_books)
+    return table
 
 
 def main() -> None:
-    """Print coverage and width by kind."""
+    """Print coverage and width by group."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--split", default="test")
-    parser.add_argument("--fruit", type=int, default=200, help="of the stress set")
+    parser.add_argument("--models", type=Path, help="other interval models, compared")
+    parser.add_argument("--measured", type=Path, help="file of the measurements")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        readings = read(options.folder, options.split, options.fruit, Path(folder))
-    heads = ("readings", "not given", "covered %", "median width %")
-    console = Console(width=120, highlight=False)
-    m6_lengths, paper_methods = ("M6", "M6 thread", "M6 chord"), ("M1", "M2", "M3", "M4", "M5")
-    for keys, title in (
-        (m6_lengths, "M6: centreline, thread, chord"),
-        (paper_methods, "The other methods"),
-    ):
-        table = Table(title=f"{title}: 90 % intervals, depth scale known")
-        for head in ("fruit", "", "length", *heads):
-            table.add_column(head, justify="left" if head in ("fruit", "") else "right")
-        for name, kind, part_readings in parts(readings):
-            if keys is paper_methods and kind != "all":
-                continue
-            for key in keys:
-                if len(method_readings := part_readings[part_readings["method"] == key]):
-                    table.add_row(name, kind, key, *cells(method_readings))
-        console.print(table)
+        fruit = measure(options.folder, options.measured or Path(folder) / "measured.jsonl")
+    books = {"shipped": shipped_interval_models()}
+    if options.models:
+        books[options.models.name] = read_interval_models(options.models)
+    frames = {title: with_intervals(fruit, book) for title, book in books.items()}
+    for masks in ("networks'", "given"):
+        Console(width=120, highlight=False).print(coverage_table(frames, masks))
 
 
 if __name__ == "__main__":

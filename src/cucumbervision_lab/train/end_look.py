@@ -333,7 +333,7 @@ def fit_look_intervals(
     chosen = [
         (measured, row)
         for measured, row in candidates
-        if not (measured.given or has_no_interval(row))
+        if not (measured.given or measured.cut or has_no_interval(row))
     ]
     features = {name: np.array([row.get(name, 0.0) for _, row in chosen]) for name in LOOK_FEATURES}
     names = [measured.picture for measured, _ in chosen]

@@ -1,6 +1,6 @@
 """Cucumbers on the plant before a real D435: recall, precision and lengths.
 
-    python benchmarks/greenhouse.py FOLDER [--turn 90] [--end-look]
+    python benchmarks/greenhouse.py FOLDER [--shake] [--end-look]
 
 FOLDER holds `on_plant/` and `intrinsics.json`. `greenhouse_captures.json` holds every cucumber of
 which half or more shows, marked by eye, and which captures the detector was trained on. A fruit
@@ -9,14 +9,15 @@ the marked fruit is a green sticker, which no grower's fruit has and which a det
 is painted over in the colour picture. The four captures
 called sample show one fruit. Both ends of a
 fruit are marked in two passes where both are visible; `length_between_m` follows the depth from one
-to the other, and lengths and intervals are compared with that. `--turn` turns every picture, as a
-camera does that is mounted upright, and measures it with and without `camera_up`.
+to the other, and lengths and intervals are compared with that. `--shake` measures each capture also
+as others take pictures: by a camera mounted on its side, moved, in the dark, at half the size.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+from collections import defaultdict
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -36,11 +37,13 @@ from cucumbervision.methods.flags import Flag
 from cucumbervision.methods.result import MethodName
 from cucumbervision.run.inputs import read_captures
 from cucumbervision.run.measurer import Failure, Measurer
-from cucumbervision.run.options import MeasureOptions
+from cucumbervision.run.options import GRAVITY_BY_EDGE, MeasureOptions
 from cucumbervision.tube.shape import points_along, polyline_length
 from cucumbervision_lab.evaluate.outcomes import match_boxes
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
     from numpy.typing import ArrayLike, NDArray
 
     from cucumbervision.capture.frames import Capture
@@ -110,31 +113,77 @@ def without_sticker(color: NDArray[np.uint8], marks: dict[str, Any]) -> NDArray[
     return cv2.inpaint(color, covered, 7, cv2.INPAINT_TELEA)  # type: ignore[return-value]
 
 
+def moved(
+    capture: Capture, marks: dict[str, Any], move: Callable[[Any], Any], place: Callable[..., Any]
+) -> tuple[Capture, dict[str, Any]]:
+    """Return a capture whose pictures `move` changes, and its marks, whose boxes `place` moves."""
+    fruit = [{**truth, "box": place(truth["box"])} for truth in marks["fruit"]]
+    for truth in fruit:
+        if "ends" in truth:
+            truth["ends"] = [[place(2 * end)[:2] for end in ends] for ends in truth["ends"]]
+    color, depth_m = (np.ascontiguousarray(move(x)) for x in (capture.color, capture.depth_m))
+    lens = capture.intrinsics
+    centre = place(2 * [lens.cx_px, lens.cy_px])[:2]
+    # A pixel's width and height move as those of a box do.
+    left, top, right, bottom = place([0, 0, lens.fx_px, lens.fy_px])
+    camera = Intrinsics(*color.shape[1::-1], right - left, bottom - top, *centre)
+    moved_marks = {**marks, "fruit": fruit, "ignored": [place(box) for box in marks["ignored"]]}
+    return replace(capture, color=color, depth_m=depth_m, intrinsics=camera), moved_marks
+
+
 def turned(
     capture: Capture, marks: dict[str, Any], quarters: int
 ) -> tuple[Capture, dict[str, Any]]:
     """Return a capture and its marks turned counterclockwise by quarters."""
-    color = np.ascontiguousarray(np.rot90(capture.color, quarters))
-    depth_m = np.ascontiguousarray(np.rot90(capture.depth_m, quarters))
 
-    def box_of(box: ArrayLike) -> list[float]:
+    def place(box: ArrayLike) -> list[float]:
         before = Instance(np.array(box, float))
         edges: list[float] = before.turned(quarters, capture.color.shape[:2]).box.tolist()
         return edges
 
-    fruit = [{**truth, "box": box_of(truth["box"])} for truth in marks["fruit"]]
-    for truth in fruit:
-        if "ends" in truth:
-            truth["ends"] = [[box_of(2 * end)[:2] for end in ends] for ends in truth["ends"]]
-    lens = capture.intrinsics
-    focal = (lens.fx_px, lens.fy_px)[:: -1 if quarters % 2 else 1]
-    centre = box_of(2 * [lens.cx_px, lens.cy_px])[:2]
-    camera = Intrinsics(color.shape[1], color.shape[0], focal[0], focal[1], centre[0], centre[1])
-    ignored = [box_of(box) for box in marks["ignored"]]
-    return (
-        replace(capture, color=color, depth_m=depth_m, intrinsics=camera),
-        {**marks, "fruit": fruit, "ignored": ignored},
-    )
+    return moved(capture, marks, lambda picture: np.rot90(picture, quarters), place)
+
+
+def half_size(capture: Capture, marks: dict[str, Any]) -> tuple[Capture, dict[str, Any]]:
+    """Return a capture and its marks at half the size; of four readings of depth one remains."""
+
+    def halved(picture: NDArray[Any]) -> NDArray[Any]:
+        if picture.ndim == 2:
+            return picture[::2, ::2]
+        return np.asarray(cv2.resize(picture, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
+
+    return moved(capture, marks, halved, lambda box: ((np.array(box) + 0.5) / 2 - 0.5).tolist())
+
+
+def _noisy(color: NDArray[np.uint8]) -> NDArray[Any]:
+    return color + np.random.default_rng(0).normal(0, 16, color.shape)
+
+
+def _by_jpeg(color: NDArray[np.uint8]) -> NDArray[Any]:
+    coded = cv2.imencode(".jpg", color, [cv2.IMWRITE_JPEG_QUALITY, 30])[1]
+    return np.asarray(cv2.imdecode(coded, cv2.IMREAD_COLOR))
+
+
+SHAKES: dict[str, Callable[[NDArray[np.uint8]], NDArray[Any]]] = {
+    "noise of 16 levels": _noisy,
+    "dark: gamma 0.5": lambda color: 255 * (color / 255.0) ** 2,
+    "motion of 13 px": lambda color: np.asarray(cv2.blur(color, (13, 1))),
+    "JPEG of quality 30": _by_jpeg,
+}
+
+
+def shaken(capture: Capture, marks: dict[str, Any]) -> Iterator[tuple[str, Capture, Any]]:
+    """Yield a capture with its marks as others take pictures: turned, small, dark, blurred."""
+    yield "as captured", capture, marks
+    for quarters, up in enumerate(("left", "bottom", "right"), 1):
+        picture, moved_marks = turned(capture, marks, quarters)
+        yield f"turned by {90 * quarters} degrees", picture, moved_marks
+        known = replace(picture, gravity=GRAVITY_BY_EDGE[up])
+        yield f"turned by {90 * quarters} degrees, camera_up known", known, moved_marks
+    for title, change in SHAKES.items():
+        color = np.clip(np.rint(change(capture.color)), 0, 255).astype(np.uint8)
+        yield title, replace(capture, color=color), marks
+    yield "half size", *half_size(capture, marks)
 
 
 def length_text(fruit: Fruit | None) -> str:
@@ -291,20 +340,13 @@ def main() -> None:
     """Measure, compare and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path)
-    parser.add_argument(
-        "--turn", type=int, default=0, choices=(0, 90, 180, 270), help="degrees, to the left"
-    )
+    parser.add_argument("--shake", action="store_true", help="also turned, small, dark, blurred")
     parser.add_argument(
         "--end-look", action=argparse.BooleanOptionalAction, default=MeasureOptions().end_look
     )
     arguments = parser.parse_args()
-    options = MeasureOptions(instances="models", end_look=arguments.end_look)
-    quarters = arguments.turn // 90
-    measurers = {"camera_up unknown" if quarters else "stickers painted over": Measurer(options)}
-    if quarters:
-        up = ("top", "left", "bottom", "right")[quarters]
-        measurers["camera_up known"] = Measurer(replace(options, camera_up=up))
-    compared: dict[str, list[ComparedCapture]] = {title: [] for title in measurers}
+    measurer = Measurer(MeasureOptions(instances="models", end_look=arguments.end_look))
+    compared: defaultdict[str, list[ComparedCapture]] = defaultdict(list)
     marks = {capture["name"]: capture for capture in json.loads(MARKED.read_text())["captures"]}
     reading = ReadOptions(intrinsics=arguments.folder / "intrinsics.json")
     for capture in read_captures([arguments.folder / "on_plant"], reading):
@@ -312,13 +354,14 @@ def main() -> None:
             raise SystemExit(capture.message)
         truth = marks[capture.name.removesuffix("_color")]
         plain = replace(capture, color=without_sticker(capture.color, truth))
-        if quarters:
-            plain, truth = turned(plain, truth, quarters)
-        for title, measurer in measurers.items():
-            compared[title].append(compare(measurer.measure(plain), truth))
+        for title, picture, moved_marks in shaken(plain, truth):
+            compared[title].append(compare(measurer.measure(picture), moved_marks))
+            if not arguments.shake:
+                break
     console = Console(width=120, highlight=False)
     for title, group in compared.items():
-        console.print(fruit_table(group))
+        if not arguments.shake:
+            console.print(fruit_table(group))
         console.print(f"\n{title}:")
         for line in summary(group):
             console.print(line, soft_wrap=True)

@@ -60,7 +60,7 @@ def measure(folder: Path, keep: Path) -> list[MeasuredFruit]:
 
 
 def with_intervals(fruit: Iterable[MeasuredFruit], book: IntervalModels) -> pd.DataFrame:
-    """Return the fruit in groups, with whether an interval is given, whether it holds, its width."""
+    """Return the fruit's groups, whether an interval is given, whether it holds, and its width."""
     rows = []
     for measured in fruit:
         length_m, true_m, features = measured.lengths_m[0], measured.true_m[0], measured.features

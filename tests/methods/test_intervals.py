@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.fruit.instance import Instance, MaskSource
 from cucumbervision.fruit.masks import box_of_mask
+from cucumbervision.methods import intervals
 from cucumbervision.methods.flags import Flag
 from cucumbervision.methods.intervals import (
     LARGEST_SPREAD,
@@ -23,6 +25,7 @@ from cucumbervision.methods.intervals import (
     shipped_interval_models,
 )
 from cucumbervision.methods.result import (
+    Fruit,
     IntervalBasis,
     Length,
     LengthDefinition,
@@ -70,9 +73,17 @@ def length_of(
     known: bool = True,
     models: IntervalModels = MODELS,
 ) -> Length:
-    fruit = measure_fruit(*seen, definition=definition, scale_known=known, models=models)
+    fruit = measured(seen, models, definition=definition, scale_known=known)
     assert fruit.length is not None
     return fruit.length
+
+
+def measured(
+    seen: tuple[Capture, Instance], models: IntervalModels = MODELS, **options: Any
+) -> Fruit:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(intervals, "shipped_interval_models", lambda: models)
+        return measure_fruit(*seen, **options)
 
 
 def test_what_is_expected_to_be_missing_moves_the_interval() -> None:
@@ -140,12 +151,6 @@ def test_spreads_have_limits() -> None:
     assert model.spreads({"tilt": 0.3}) == (LEAST_SPREAD, LARGEST_SPREAD)
 
 
-def test_what_was_not_measured_has_no_length(seen: tuple[Capture, Instance]) -> None:
-    capture, instance = seen
-    dark = replace(capture, depth_m=np.zeros_like(capture.depth_m))
-    assert measure_fruit(dark, instance).length is None
-
-
 def test_an_interval_that_says_nothing_is_left_out_and_flagged(
     seen: tuple[Capture, Instance],
 ) -> None:
@@ -153,7 +158,7 @@ def test_an_interval_that_says_nothing_is_left_out_and_flagged(
     # exp(2 x 0.75) is a factor of 4.5, exp(2 x 0.60) one of 3.3.
     for percent, flagged in ((75, True), (60, False)):
         models = IntervalModels(0.9, {"M6": even("M6", percent)}, 100)
-        fruit = measure_fruit(*seen, definition=definition, scale_known=True, models=models)
+        fruit = measured(seen, models, definition=definition, scale_known=True)
         assert fruit.length is not None
         assert (fruit.length.low_m is None) is flagged
         assert (Flag.INTERVAL_TOO_WIDE in fruit.flags) is flagged
@@ -187,7 +192,6 @@ def test_a_networks_mask_tells_more_of_itself_than_a_given_one() -> None:
     assert telling(None) == {"perceived"}
     assert telling(MaskSource.DATASET, Flag.END_HIDDEN, Flag.ENDS_DISAGREE) == set()
     assert telling(MaskSource.DATASET, Flag.CUT_BY_FRAME) == {"cut"}
-    assert telling(MaskSource.DATASET, Flag.DEPTH_SPARSE) == {"no_depth"}
     assert telling(MaskSource.DATASET, Flag.DEPTH_UNALIGNED) == {"no_depth"}
 
 
@@ -205,7 +209,7 @@ def test_a_fruit_that_the_pictures_edge_cuts_has_no_interval(
     mask = instance.mask.copy()
     mask[:, : int(instance.box[[0, 2]].mean())] = False
     mask[int(instance.box[[1, 3]].mean()), int(instance.box[2]) :] = True  # on to the edge
-    fruit = measure_fruit(capture, replace(instance, mask=mask), models=MODELS)
+    fruit = measured((capture, replace(instance, mask=mask)))
     assert Flag.CUT_BY_FRAME in fruit.flags
     assert fruit.length is not None
     assert fruit.length.value_m > 0

@@ -57,13 +57,6 @@ def test_the_tube_comes_first_where_it_was_fitted() -> None:
     assert paper is ALL[MethodName.M5]
 
 
-def test_fallbacks_in_order_each_with_its_reason() -> None:
-    results = {**ALL, MethodName.M5: failed(MethodName.M5), MethodName.M4: failed(MethodName.M4)}
-    chosen, _, path = choose(results, 500, LONG)
-    assert chosen is ALL[MethodName.M3]
-    assert path == ("M5:too-few-bins", "M4:too-few-bins")
-
-
 def test_m4_that_stands_on_m3_does_not_jump_the_queue() -> None:
     borrowed = Measurement(
         MethodName.M4, 0.2, fallback=("M4:endpoint-missing",), measured_by=MethodName.M3
@@ -106,6 +99,17 @@ def plate(camera: Intrinsics) -> Capture:
 BOX = np.array([439.5, 339.5, 839.5, 379.5])
 
 
+def test_a_fruit_with_hardly_any_depth_has_no_length(plate: Capture) -> None:
+    beside = measure_fruit(plate, Instance(np.array([9.5, 9.5, 209.5, 49.5])))
+    assert (beside.selected, beside.fallback) == (None, ("M1:no-depth", "M2:no-depth"))
+    mask = plate.depth_m > 0
+    for columns, is_measured in ((48, True), (36, False), (0, False)):
+        plate.depth_m[:, 440 + columns : 840] = 0
+        fruit = measure_fruit(plate, Instance(BOX, mask=mask, mask_source=MaskSource.SAM))
+        assert (fruit.length is not None) is is_measured
+        assert (fruit.reason is Choice.NO_DEPTH) is not is_measured
+
+
 def test_paper_counts_only_sams_or_the_data_sets_mask(plate: Capture) -> None:
     own = plate.depth_m > 0
     detected = Instance(BOX, detector_mask=own, mask_failure="mask-small")
@@ -135,13 +139,6 @@ def test_points_are_counted_before_the_gate(plate: Capture) -> None:
     assert fruit.fallback[:2] == ("M6:too-few-points", "M5:too-few-points")
     assert fruit.selected is not None
     assert fruit.selected.method is MethodName.M3
-
-
-def test_a_detection_without_depth_gets_its_row(plate: Capture) -> None:
-    fruit = measure_fruit(plate, Instance(np.array([9.5, 9.5, 209.5, 49.5])))
-    assert fruit.selected is None
-    assert fruit.reason == Choice.NO_DEPTH
-    assert fruit.fallback == ("M1:no-depth", "M2:no-depth")
 
 
 @pytest.mark.parametrize(

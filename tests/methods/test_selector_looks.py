@@ -11,6 +11,7 @@ from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.fruit.crops import EndCrop, EndLook
 from cucumbervision.fruit.instance import Instance, MaskSource
 from cucumbervision.fruit.masks import box_of_mask
+from cucumbervision.methods import intervals
 from cucumbervision.methods.flags import Flag, flag_remarks
 from cucumbervision.methods.intervals import (
     LOOKED,
@@ -20,7 +21,6 @@ from cucumbervision.methods.intervals import (
     IntervalModel,
     IntervalModels,
     Trees,
-    look_features,
 )
 from cucumbervision.methods.result import Fruit, MethodName, TubeFit
 from cucumbervision.methods.selector import measure_fruit, with_end_looks
@@ -65,13 +65,13 @@ def capture() -> tuple[Capture, Instance, Instance]:
     return Capture(color, scene.depth_m.astype(np.float32), camera, "drawn"), fruit[0], fruit[1]
 
 
-def measured(
-    capture: Capture, *instances: Instance, models: IntervalModels = MODELS
-) -> list[Fruit]:
-    return [
-        measure_fruit(capture, instance, (MethodName.M6,), scale_known=True, models=models)
-        for instance in instances
-    ]
+@pytest.fixture(autouse=True)
+def _models(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(intervals, "shipped_interval_models", lambda: MODELS)
+
+
+def measured(capture: Capture, *instances: Instance) -> list[Fruit]:
+    return [measure_fruit(capture, one, (MethodName.M6,), scale_known=True) for one in instances]
 
 
 def fit_of(fruit: Fruit) -> TubeFit:
@@ -93,7 +93,7 @@ class Looker:
 def test_all_ends_of_a_capture_are_one_batch(capture: tuple[Capture, Instance, Instance]) -> None:
     picture, *instances = capture
     look = Looker(TRUE, STEM, COVERED, TRUE)
-    first, second = with_end_looks(picture, measured(picture, *instances), look, models=MODELS)
+    first, second = with_end_looks(picture, measured(picture, *instances), look)
     assert look.batches == [4]
     assert fit_of(first).looks == (TRUE, STEM)
     assert fit_of(second).looks == (COVERED, TRUE)
@@ -107,23 +107,13 @@ def test_the_interval_depends_on_the_look(capture: tuple[Capture, Instance, Inst
     value = before[0].length.value_m
     assert before[0].length.high_m == pytest.approx(value * np.exp(np.hypot(0.2, 1.6449 * REAL_SD)))
     for end, spread in ((TRUE, 0.02), (COVERED, 20 * 0.02)):
-        (after,) = with_end_looks(
-            picture, before, Looker(TRUE, end), scale_known=True, models=MODELS
-        )
+        (after,) = with_end_looks(picture, before, Looker(TRUE, end), scale_known=True)
         assert after.length is not None
         assert after.length.value_m == value
         expected = np.hypot(spread, 1.6449 * REAL_SD)
         assert after.length.high_m == pytest.approx(value * np.exp(expected), rel=1e-3)
         narrow = np.hypot(0.02, 1.6449 * REAL_SD)
         assert after.length.low_m == pytest.approx(value * np.exp(-narrow), rel=1e-3)
-
-
-def test_the_look_counts_though_depth_shows_both_ends_open() -> None:
-    features = {"perceived": 1.0, "closed": 0.1}
-    unseen = MODELS.interval("M6", 0.2, features)
-    assert unseen == pytest.approx((0.2 * np.exp(-0.2), 0.2 * np.exp(0.2)))
-    looked_at = MODELS.interval("M6", 0.2, {**features, **look_features((TRUE, COVERED))})
-    assert looked_at == pytest.approx((0.2 * np.exp(-0.02), 0.2 * np.exp(0.4)))
 
 
 def test_a_doubtful_end_is_named_by_its_place(capture: tuple[Capture, Instance, Instance]) -> None:
@@ -134,7 +124,7 @@ def test_a_doubtful_end_is_named_by_its_place(capture: tuple[Capture, Instance, 
         ends = picture.intrinsics.project(fit_of(one).traits.axis_m[[0, -1]])
         places.append(ends[0] - ends[1])
     for looks, expected in (((COVERED, TRUE), 1), ((TRUE, COVERED), -1)):
-        found = with_end_looks(picture, fruit, Looker(*looks, *looks), models=MODELS)
+        found = with_end_looks(picture, fruit, Looker(*looks, *looks))
         down, across = expected * places[0][1], expected * places[1][0]
         assert (Flag.LOWER_END in found[0].flags) is bool(down > 0)
         assert (Flag.UPPER_END in found[0].flags) is bool(down < 0)
@@ -149,18 +139,19 @@ def test_what_is_a_lower_bound_already_is_not_doubted_again(
 ) -> None:
     picture, upright, _ = capture
     fruit = [one.flagged(Flag.END_HIDDEN) for one in measured(picture, upright)]
-    (found,) = with_end_looks(picture, fruit, Looker(COVERED, COVERED), models=MODELS)
+    (found,) = with_end_looks(picture, fruit, Looker(COVERED, COVERED))
     assert found.flags == fruit[0].flags
 
 
 def test_an_interval_that_was_too_wide_is_given_where_the_look_narrows_it(
-    capture: tuple[Capture, Instance, Instance],
+    capture: tuple[Capture, Instance, Instance], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     picture, upright, _ = capture
     wide = IntervalModels(0.9, {**MODELS.models, _M6: model(_M6, 0.99)}, 500)
-    before = measured(picture, upright, models=wide)
+    monkeypatch.setattr(intervals, "shipped_interval_models", lambda: wide)
+    before = measured(picture, upright)
     assert Flag.INTERVAL_TOO_WIDE in before[0].flags
-    (found,) = with_end_looks(picture, before, Looker(TRUE, TRUE), models=wide)
+    (found,) = with_end_looks(picture, before, Looker(TRUE, TRUE))
     assert Flag.INTERVAL_TOO_WIDE not in found.flags
     assert found.length is not None
     assert found.length.high_m is not None
@@ -173,5 +164,5 @@ def test_masks_that_no_network_drew_are_not_looked_at(
     picture, upright, _ = capture
     fruit = measured(picture, replace(upright, mask_source=source))
     look = Looker(TRUE, TRUE)
-    assert with_end_looks(picture, fruit, look, models=MODELS) == fruit
+    assert with_end_looks(picture, fruit, look) == fruit
     assert look.batches == []

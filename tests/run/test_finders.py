@@ -5,14 +5,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from cucumbervision.capture.frames import Capture
 from cucumbervision.errors import ModelError, ModelHashError
-from cucumbervision.fruit.instance import UNKNOWN_ORDER, MaskSource
+from cucumbervision.fruit.instance import UNKNOWN_ORDER, Instance, MaskSource
 from cucumbervision.fruit.masks import box_iou, box_of_mask
 from cucumbervision.methods.result import MethodName, Reason
 from cucumbervision.methods.selector import measure_fruit
 from cucumbervision.methods.table import AVAILABLE
+from cucumbervision.networks.find import Detectors
 from cucumbervision.networks.registry import Registry, load_registry
 from cucumbervision.run.finders import make_finder
 from cucumbervision.run.options import MeasureOptions
@@ -179,3 +181,21 @@ def test_a_picture_is_turned_upright_before_the_networks_see_it(
         assert np.allclose(back.box, before.box)
         assert back.confidence == before.confidence
         assert np.all(back.detector_mask == before.detector_mask)
+
+
+def test_a_picture_without_a_clear_fruit_is_turned_where_up_is_unknown(
+    plain: Capture, own_registry: Registry, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fruit = Instance(np.array([10.0, 20.0, 30.0, 80.0]), 0.3)
+    color = np.zeros_like(plain.color)
+    color[0, 0] = 255  # lower left, once the picture is turned by a quarter
+
+    def find(_: Detectors, color_rgb: NDArray[np.uint8], *__: object) -> tuple[Instance, ...]:
+        return (replace(fruit, confidence=0.9) if color_rgb[-1, 0, 0] else fruit,)
+
+    monkeypatch.setattr(Detectors, "find", find)
+    finder = make_finder(MeasureOptions(instances="models", segmenter="none"), own_registry)
+    for gravity, confidence, turns in ((None, 0.9, -1), ((0.0, 1.0, 0.0), 0.3, 0)):
+        (found,) = finder.find(replace(plain, color=color, gravity=gravity)).instances
+        assert found.confidence == confidence
+        assert found.box.tolist() == fruit.turned(turns, color.shape[1::-1]).box.tolist()

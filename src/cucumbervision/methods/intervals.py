@@ -427,7 +427,6 @@ def with_interval(
     mask: Mapping[str, float],
     *,
     scale_known: bool,
-    models: IntervalModels | None = None,
 ) -> tuple[Length, bool]:
     """Compute the interval of a measured length.
 
@@ -444,8 +443,6 @@ def with_interval(
         Features of the mask (`mask_features`).
     scale_known : bool
         Whether the camera's depth scale was measured with a bar of known length.
-    models : IntervalModels, optional
-        Interval models; by default those of the package.
 
     Returns
     -------
@@ -464,9 +461,7 @@ def with_interval(
         features = raw_features(length.value_m, distance_m, fill)
     key = calibration_key(measurement.source, length.kind)
     more_sd = REAL_SD if scale_known else float(np.hypot(REAL_SD, SCALE_SD))
-    bounds = (models or shipped_interval_models()).interval(
-        key, length.value_m, {**features, **mask}, more_sd
-    )
+    bounds = shipped_interval_models().interval(key, length.value_m, {**features, **mask}, more_sd)
     if bounds is None:
         return length, True
     # For a method that reads short, both ends may exceed the length: extend the interval to it.

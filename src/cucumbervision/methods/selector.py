@@ -38,7 +38,6 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.frames import Capture
     from cucumbervision.fruit.instance import Instance
-    from cucumbervision.methods.intervals import IntervalModels
     from cucumbervision.methods.table import Method
 
 
@@ -110,6 +109,8 @@ def _reaches(mask: NDArray[np.bool_] | None, line: NDArray[np.float64]) -> list[
 _ELONGATED = 1.8
 
 _EDGE_PX = 1.0
+
+_LEAST_FILL = 0.1  # share of a fruit's pixels with a reading: with fewer, lengths are guesses
 
 
 def choose(
@@ -219,7 +220,6 @@ def measure_fruit(
     definition: LengthDefinition = LengthDefinition.CENTRELINE,
     *,
     scale_known: bool = False,
-    models: IntervalModels | None = None,
     cut_beyond_m: float = CUT_BEYOND_M,
     tube: Measurement | None = None,
 ) -> Fruit:
@@ -240,8 +240,6 @@ def measure_fruit(
     scale_known : bool
         Whether the camera's depth scale was measured with a bar of known length; if not, the
         interval holds the scale's own uncertainty.
-    models : IntervalModels, optional
-        Interval models; by default those of the package.
     cut_beyond_m : float
         Distance of the cut beyond the stem end, metres.
     tube : Measurement, optional
@@ -279,10 +277,12 @@ def measure_fruit(
     points = None if region.mask_points_m is None else len(region.mask_points_m)
     handed = [method for method in method_of.values() if not isinstance(method, str)]
     chosen, choice, fallback = choose(measurements, points, instance.box, selector, handed)
-    stem_confidence = 0.5 if chosen is None else turned[chosen.method][1]
     distance_m, fill = _depth_of(capture, instance.box, mask)
-    if chosen is None:
-        choice = Choice.NO_DEPTH if distance_m is None else Choice.NOTHING
+    if (fill or 0.0) < _LEAST_FILL:
+        chosen, choice = None, Choice.NO_DEPTH
+    elif chosen is None:
+        choice = Choice.NOTHING
+    stem_confidence = 0.5 if chosen is None else turned[chosen.method][1]
     blossom_hidden, stem_hidden, disagree = end_doubts(mask, instance.keypoints)
     hidden = blossom_hidden, stem_hidden
     by_keypoints = {Flag.END_HIDDEN: any(hidden), Flag.ENDS_DISAGREE: disagree}
@@ -304,7 +304,7 @@ def measure_fruit(
         fill=fill,
         pose=pose,
     )
-    return with_length(fruit, definition, scale_known=scale_known, models=models)
+    return with_length(fruit, definition, scale_known=scale_known)
 
 
 def _flags(
@@ -333,13 +333,7 @@ def _flags(
     return flags
 
 
-def with_length(
-    fruit: Fruit,
-    definition: LengthDefinition,
-    *,
-    scale_known: bool = False,
-    models: IntervalModels | None = None,
-) -> Fruit:
+def with_length(fruit: Fruit, definition: LengthDefinition, *, scale_known: bool = False) -> Fruit:
     """Return a fruit with the length of the measurement that was selected, and its interval.
 
     Parameters as those of `measure_fruit`.
@@ -354,7 +348,6 @@ def with_length(
         fill=fruit.fill,
         mask=mask_features(fruit.mask_source, fruit.flags, fruit.instance.confidence),
         scale_known=scale_known,
-        models=models,
     )
     lengths = {
         calibration_key(measurement.method, kind_length.kind): measure_interval(
@@ -443,7 +436,6 @@ def with_end_looks(
     definition: LengthDefinition = LengthDefinition.CENTRELINE,
     *,
     scale_known: bool = False,
-    models: IntervalModels | None = None,
 ) -> list[Fruit]:
     """Return the fruit of a capture with the evaluation of their ends, computed in one batch.
 
@@ -462,8 +454,6 @@ def with_end_looks(
         Definition of length, as for `measure_fruit`.
     scale_known : bool
         Whether the camera's depth scale is known, as for `measure_fruit`.
-    models : IntervalModels, optional
-        Interval models; by default those of the package.
     """
     tubes = {k: tube for k, measured in enumerate(fruit) if (tube := _tube(measured)) is not None}
     if not tubes:
@@ -479,9 +469,7 @@ def with_end_looks(
     ]
     looks = look(crops)
     pairs = dict(zip(tubes, zip(looks[::2], looks[1::2], strict=True), strict=True))
-    measure_again = partial(
-        with_length, definition=definition, scale_known=scale_known, models=models
-    )
+    measure_again = partial(with_length, definition=definition, scale_known=scale_known)
     return [
         measure_again(_looked_at(capture, measured, tubes[k], pairs[k])) if k in tubes else measured
         for k, measured in enumerate(fruit)

@@ -392,16 +392,32 @@ def _network_finder(
     detectors = networks.detectors(file, pose, quick=options.quick, looks=looks)
     labels, posed = detectors.labels, detectors.gives_keypoints
 
-    def find(capture: Capture) -> Detections:
-        quarters = upright_quarters(capture.gravity)
+    def find_turned(capture: Capture, quarters: int) -> tuple[Instance, ...]:
         color, depth_m, focal_px = _seen(capture)
         color = np.ascontiguousarray(np.rot90(color, quarters))
         depth_m = None if depth_m is None else np.ascontiguousarray(np.rot90(depth_m, quarters))
         found = detectors.find(color, depth_m, focal_px)
-        instances = tuple(fruit.turned(-quarters, color.shape[:2]) for fruit in found)
-        return Detections(instances, stages=frozenset({"detected"}), labels=labels, posed=posed)
+        return tuple(fruit.turned(-quarters, color.shape[:2]) for fruit in found)
+
+    def find(capture: Capture) -> Detections:
+        found = find_turned(capture, upright_quarters(capture.gravity))
+        # A camera mounted on its side: photos without depth are turned by those who took them.
+        unknown = capture.gravity is None and capture.depth_m.any() and not options.quick
+        if unknown and _best(found) < _CLEAR:
+            others = (find_turned(capture, quarters) for quarters in (1, 3))
+            clear = [other for other in others if _best(other) >= _CLEAR]
+            found = max([found, *clear], key=lambda fruit: sum(x.confidence for x in fruit))
+        return Detections(found, stages=frozenset({"detected"}), labels=labels, posed=posed)
 
     return find
+
+
+_CLEAR = 0.45
+"""Confidence of a clear fruit, without which a picture whose up is unknown is turned."""
+
+
+def _best(fruit: Sequence[Instance]) -> float:
+    return max((instance.confidence for instance in fruit), default=0.0)
 
 
 def upright_quarters(gravity: tuple[float, float, float] | None) -> int:

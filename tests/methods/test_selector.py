@@ -106,8 +106,7 @@ def test_a_fruit_with_hardly_any_depth_has_no_length(plate: Capture) -> None:
     for columns, is_measured in ((48, True), (36, False), (0, False)):
         plate.depth_m[:, 440 + columns : 840] = 0
         fruit = measure_fruit(plate, Instance(BOX, mask=mask, mask_source=MaskSource.SAM))
-        assert (fruit.length is not None) is is_measured
-        assert (fruit.reason is Choice.NO_DEPTH) is not is_measured
+        assert (fruit.length is None) is (fruit.reason is Choice.NO_DEPTH) is not is_measured
 
 
 def test_paper_counts_only_sams_or_the_data_sets_mask(plate: Capture) -> None:

@@ -164,8 +164,7 @@ def test_the_packages_own_networks_come_with_a_card() -> None:
     for model in registry.models:
         if model.task in ("segment", "pose"):
             assert model.embedded
-            assert model.licence == "AGPL-3.0-only"
-            assert model.card
+            assert (model.licence, bool(model.card)) == ("AGPL-3.0-only", True)
             assert list(registry.resolve(model.name)) == ["network"]
 
 
@@ -178,8 +177,7 @@ def test_a_picture_is_turned_upright_before_the_networks_see_it(
     found = finder.find(turned).instances
     for before, after in zip(finder.find(plain).instances, found, strict=True):
         back = after.turned(2, plain.color.shape[:2])
-        assert np.allclose(back.box, before.box)
-        assert back.confidence == before.confidence
+        assert np.allclose([*back.box, back.confidence], [*before.box, before.confidence])
         assert np.all(back.detector_mask == before.detector_mask)
 
 
@@ -188,7 +186,7 @@ def test_a_picture_without_a_clear_fruit_is_turned_where_up_is_unknown(
 ) -> None:
     fruit = Instance(np.array([10.0, 20.0, 30.0, 80.0]), 0.3)
     color = np.zeros_like(plain.color)
-    color[0, 0] = 255  # lower left, once the picture is turned by a quarter
+    color[0, 0], shape = 255, color.shape[1::-1]  # lower left, once it is turned by a quarter
 
     def find(_: Detectors, color_rgb: NDArray[np.uint8], *__: object) -> tuple[Instance, ...]:
         return (replace(fruit, confidence=0.9) if color_rgb[-1, 0, 0] else fruit,)
@@ -197,5 +195,4 @@ def test_a_picture_without_a_clear_fruit_is_turned_where_up_is_unknown(
     finder = make_finder(MeasureOptions(instances="models", segmenter="none"), own_registry)
     for gravity, confidence, turns in ((None, 0.9, -1), ((0.0, 1.0, 0.0), 0.3, 0)):
         (found,) = finder.find(replace(plain, color=color, gravity=gravity)).instances
-        assert found.confidence == confidence
-        assert found.box.tolist() == fruit.turned(turns, color.shape[1::-1]).box.tolist()
+        assert (found.confidence, *found.box) == (confidence, *fruit.turned(turns, shape).box)

@@ -191,7 +191,6 @@ def test_a_networks_mask_tells_more_of_itself_than_a_given_one() -> None:
     }
     assert telling(None) == {"perceived"}
     assert telling(MaskSource.DATASET, Flag.END_HIDDEN, Flag.ENDS_DISAGREE) == set()
-    assert telling(MaskSource.DATASET, Flag.CUT_BY_FRAME) == {"cut"}
     assert telling(MaskSource.DATASET, Flag.DEPTH_UNALIGNED) == {"no_depth"}
 
 

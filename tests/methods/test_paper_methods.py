@@ -156,10 +156,11 @@ def test_m2_takes_in_a_backdrop_within_the_gate_and_m3_does_not(camera: Intrinsi
 def test_the_gate_cuts_a_fruit_tilted_towards_the_camera(camera: Intrinsics) -> None:
     tube = arc_tube(0.30, 0.015).moved(rotation(tilt_deg=60), (0, 0, 0.6))
     scene = render(Scene.of(tube), camera)
-    result = measure_m3(masked_points(scene.depth_m.astype(np.float32), scene.mask(0), camera))
-    assert result.length_m is not None
+    points = masked_points(scene.depth_m.astype(np.float32), scene.mask(0), camera)
+    m3_m, edge_m = measure_m3(points).length_m or 0.0, 0.07 / np.sin(np.deg2rad(60))
+    assert (measure_m5(points).length_m or 1.0) < 0.5 * 0.30  # the paper's known fault, kept
     # What is left is 7 cm deep: 0.07 / sin 60 along the axis, plus at most the tube's width.
-    assert 0.07 / np.sin(np.deg2rad(60)) <= result.length_m <= 0.07 / np.sin(np.deg2rad(60)) + 0.03
+    assert edge_m <= m3_m <= edge_m + 0.03
 
 
 def test_too_few_points_are_named() -> None:
@@ -319,14 +320,6 @@ def test_a_gap_is_bridged() -> None:
     cloud = line_cloud(0.2)
     gap = cloud[np.abs(cloud[:, 0] - 0.02) > 0.025]
     assert measure_m5(gap).length_m == pytest.approx(measure_m5(cloud).length_m, rel=1e-3)
-
-
-def test_the_fixed_gate_cuts_a_fruit_tilted_to_the_camera(camera: Intrinsics) -> None:
-    tube = arc_tube(0.30, 0.015).moved(rotation(tilt_deg=60), (0, 0, 0.6))
-    scene = render(Scene.of(tube), camera)
-    result = measure_m5(masked_points(scene.depth_m.astype(np.float32), scene.mask(0), camera))
-    assert result.length_m is not None
-    assert result.length_m < 0.5 * 0.30  # the paper's known fault, kept
 
 
 @pytest.mark.parametrize(

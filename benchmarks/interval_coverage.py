@@ -12,13 +12,14 @@ by the picture's edge are left out, and an interval wider than a factor of four 
 from __future__ import annotations
 
 import argparse
-import json
 import tempfile
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pandas as pd
+from pydantic import TypeAdapter
 from rich.console import Console
 from rich.table import Table
 
@@ -28,15 +29,16 @@ from cucumbervision.methods.intervals import (
     read_interval_models,
     shipped_interval_models,
 )
-from cucumbervision_lab.cli.screen import part_bars
+from cucumbervision_lab.cli import part_bars
 from cucumbervision_lab.data.checks import open_dataset
-from cucumbervision_lab.train.measured_ends import measure_drawn, read_measured
+from cucumbervision_lab.processes import kept_rows
+from cucumbervision_lab.train.measured_ends import MeasuredFruit, measure_drawn
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from cucumbervision.methods.intervals import IntervalModels
-    from cucumbervision_lab.train.measured_ends import MeasuredFruit
+    from cucumbervision_lab.data.labels import DataSet, LabelledPicture
 
 GROUPS = {
     "hidden share": (0.0, 0.1, 0.3, 1.0),
@@ -48,15 +50,20 @@ GROUPS = {
 
 def measure(folder: Path, keep: Path) -> list[MeasuredFruit]:
     """Measure the pictures that the file does not hold yet, and return the fruit of all."""
-    data, lines = open_dataset(folder), keep.read_text("utf-8") if keep.exists() else ""
-    done = {json.loads(line)["picture"] for line in lines.splitlines()}
-    with part_bars() as report, keep.open("a", encoding="utf-8") as stream:
-        for picture in data.pictures:
-            if picture.file not in done:
-                fruit = [asdict(measured) for measured in measure_drawn(picture, data)]
-                stream.write(json.dumps({"picture": picture.file, "fruit": fruit}) + "\n")
-            report("pictures", 1, len(data.pictures))
-    return read_measured([keep])
+    data = open_dataset(folder)
+    jobs = {picture.file: picture for picture in data.pictures}
+    with part_bars() as report:
+        rows = kept_rows(
+            keep,
+            jobs,
+            partial(_rows, data),
+            progress=lambda count: report("pictures", count, len(jobs)),
+        )
+    return TypeAdapter(list[MeasuredFruit]).validate_python(rows)
+
+
+def _rows(data: DataSet, picture: LabelledPicture) -> list[dict[str, Any]]:
+    return [asdict(measured) for measured in measure_drawn(picture, data)]
 
 
 def with_intervals(fruit: Iterable[MeasuredFruit], book: IntervalModels) -> pd.DataFrame:

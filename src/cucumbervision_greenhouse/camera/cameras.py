@@ -225,9 +225,14 @@ class Feed:
         """Return the newest frame; open the camera if necessary."""
         with self._changed:
             self._watch()
-            if self._shown.number != self._count:
-                self._shown = self._newest()
-            return self._shown
+            if self._shown.number == self._count:
+                return self._shown
+            shown = Preview(self._state, number=self._count, message=self._message)
+            frames = [replace(x, capture=_copied(x.capture)) for x in self._ring.frames[-2:]]
+        if frames:  # the camera's thread does not wait until the quality is known
+            shown = replace(shown, capture=frames[-1].capture, quality=_quality(frames))
+        self._shown = shown
+        return shown
 
     def retry(self) -> None:
         """Search for an absent camera again."""
@@ -354,17 +359,16 @@ class Feed:
         self._count += 1
         self._changed.notify_all()
 
-    def _newest(self) -> Preview:
-        """Return the newest frame with its quality, for which the camera's motion counts."""
-        if not self._ring.frames:
-            return Preview(self._state, number=self._count, message=self._message)
-        *before, frame = self._ring.frames[-2:]
-        capture = looked_at = _copied(frame.capture)
-        is_next = before and frame.at_s - before[0].at_s <= REACH_S
-        if is_next and before[0].capture.color.shape == capture.color.shape:
-            [moved] = moved_px(before[0].capture.color, [capture.color])
-            looked_at = replace(capture, moved_px=moved)
-        return Preview(self._state, capture, depth_quality(looked_at), self._count)
+
+def _quality(frames: list[_Frame]) -> DepthQuality:
+    """Return how good the last frame's depth is, for which the camera's motion counts."""
+    *before, frame = frames
+    capture = frame.capture
+    is_next = before and frame.at_s - before[0].at_s <= REACH_S
+    if is_next and before[0].capture.color.shape == capture.color.shape:
+        [moved] = moved_px(before[0].capture.color, [capture.color])
+        capture = replace(capture, moved_px=moved)
+    return depth_quality(capture)
 
 
 class FolderFeed:

@@ -661,6 +661,6 @@ def _log_of(connection: Connection, round_key: str | None, limit: int | None) ->
     if round_key is not None:
         query = query.where(ROUNDS.c.key == round_key)
     return [
-        LogEntry(*line[:5], tuple(line.fruit), line.details, undone=line[7] is not None)
-        for line in connection.execute(query)
+        LogEntry(number, at_s, by, kind, key, tuple(fruit), details, undone=undone is not None)
+        for number, at_s, by, kind, key, fruit, details, undone in connection.execute(query)
     ]

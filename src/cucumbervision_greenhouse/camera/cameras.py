@@ -149,7 +149,7 @@ class FrameRing:
         CameraError
             If the disk has no room for it.
         """
-        arrays = {"depth_m": capture.depth_m, "color": capture.color}
+        arrays: dict[str, NDArray[Any]] = {"depth_m": capture.depth_m, "color": capture.color}
         kind = np.dtype([(name, array.dtype, array.shape) for name, array in arrays.items()])
         if self._slots.dtype != kind:
             self._allocate(kind)

@@ -181,5 +181,7 @@ def test_days_are_those_of_the_captures_whenever_a_round_was_begun(
     assert len(pairs) == 12
     # Growth is that of one day, 3 cm, not of the second between two presses of 'New round'.
     before = earlier_lengths(store, read_round(store, later))
-    day = (morning_s + 86400.0) / 86400.0
-    assert {round(day - point[0], 3) for points in before.values() for point in points} == {1.0}
+    last_day = (morning_s + 86400.0) / 86400.0
+    assert {round(last_day - point[0], 3) for points in before.values() for point in points} == {
+        1.0
+    }

@@ -301,8 +301,7 @@ class Feed:
                 self._watch()
             if is_far():
                 raise PictureGoneError
-            frames = sorted(nearest(), key=lambda frame: frame.at_s)
-            captures = [_copied(frame.capture) for frame in frames]
+            captures = [_copied(x.capture) for x in sorted(nearest(), key=lambda x: x.at_s)]
         if len(captures) == 1:
             return captures[0]
         fused = fuse_burst([x.color for x in captures], [x.depth_m for x in captures])

@@ -563,9 +563,7 @@ _ADVICE = (
     marked("Many holes: avoid glare, hold still"),
     marked("Good distance and depth"),
 )
-_LOOK_S = 0.03  # interval between checks for a new picture
 _PREVIEW_PX = 640
-_STILL_PX, _STILL_LEVELS = (64, 36), 3  # blocks of this size average a camera's noise
 
 
 def newest(source: str, shown: str) -> bytes:

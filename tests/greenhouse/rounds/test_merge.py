@@ -38,13 +38,6 @@ def test_pairs_and_counts_of_simulated_rows(settings: SimulatedRow) -> None:
     assert recall >= 0.98
 
 
-def test_dense_rows_with_worse_positions() -> None:
-    walk = simulate_row(HARDER, 5)
-    precision, recall = shares(walk, merge_row(walk.stops, walk.views).cluster)
-    assert precision > 0.97
-    assert recall > 0.95
-
-
 @pytest.mark.parametrize("sides", [1, 2])
 def test_no_fruit_twice_from_one_capture(sides: int) -> None:
     walk = simulate_row(replace(HARDER, sides=sides, fruit=80), 3)

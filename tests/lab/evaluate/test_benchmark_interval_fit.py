@@ -78,23 +78,3 @@ def test_readings_of_one_fruit_stay_in_one_fifth() -> None:
     assert apart.above == mixed.above
     assert apart.bands[""].high_quantile > 1.5 * mixed.bands[""].high_quantile
     assert apart.bands[""].count == mixed.bands[""].count == 1000
-
-
-def test_groups_cover_by_themselves() -> None:
-    rng = np.random.default_rng(11)
-    edges = (("tilt", (0.5,)),)
-
-    def drawn(count: int) -> tuple[Array, Array]:
-        tilt = rng.uniform(0, 1, count)
-        return np.where(tilt < 0.5, 0.03, 0.01) * rng.standard_t(3, count), tilt
-
-    errors, tilt = drawn(8000)
-    model = fit_interval_model(
-        "M6", errors, {"tilt": tilt}, np.arange(8000).astype(str), edges=edges
-    )
-    assert set(model.bands) == {"", "0", "1"}
-    errors, tilt = drawn(6000)
-    ends = [model.interval(np.exp(e), {"tilt": t}) for e, t in zip(errors, tilt, strict=True)]
-    covered = np.array([low <= 1 <= high for low, high in ends])
-    for group in (tilt < 0.5, tilt >= 0.5):
-        assert covered[group].mean() == pytest.approx(0.90, abs=0.025)

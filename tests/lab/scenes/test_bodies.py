@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cucumbervision_lab.scenes.bodies import arc_tube, bent_tube, random_fruit
+from cucumbervision_lab.scenes.bodies import arc_tube, random_fruit
 
 
 @pytest.mark.parametrize("length_m", [0.069, 0.1472, 0.2570, 0.38])
@@ -20,20 +20,6 @@ def test_random_fruit_have_the_length_asked_and_a_believable_thickness(length_m:
         assert fruit.centreline_m <= fruit.thread_m < 1.25 * fruit.centreline_m
         slope = np.abs(np.diff(fruit.radii_m)) / np.linalg.norm(np.diff(fruit.centres_m, axis=0))
         assert slope.max() < 1.0
-
-
-def test_constant_curvature_is_the_arc() -> None:
-    mine = bent_tube(0.26, np.full(800, 0.018), np.full(800, -1 / 0.2))
-    arc = arc_tube(0.26, 0.018, 0.2)
-    assert mine.chord_m == pytest.approx(arc.chord_m, rel=1e-6)
-    assert mine.thread_m == pytest.approx(arc.thread_m, rel=1e-5)
-    assert (mine.outward == arc.outward).all()
-
-
-def test_a_straight_tube_by_hand() -> None:
-    tube = arc_tube(0.20, 0.02)
-    assert tube.chord_m == pytest.approx(0.20)
-    assert tube.thread_m == pytest.approx(0.20)
 
 
 @pytest.mark.parametrize("bend_radius_m", [0.15, 0.40])

@@ -356,11 +356,7 @@ def test_a_crowd_region_is_passed_over(tmp_path: Path) -> None:
 def test_two_labels_of_a_fruit_are_one_and_a_word(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    boxes: list[dict[str, Any]] = [
-        {"bbox": [2, 1, 12, 4]},
-        {"bbox": [2, 1, 12, 3.9]},
-        {"bbox": [2, 5, 12, 4]},
-    ]
+    boxes = [{"bbox": [2, down, 12, tall]} for down, tall in ((1, 4), (1, 3.9), (5, 4))]
     path = coco(tmp_path / "c.json", *boxes)
     assert [fruit.box[1] for fruit in get(path).instances] == [0.5, 4.5]
     assert "annotation 1 labels the fruit of annotation 0 again" in caplog.text
@@ -368,3 +364,7 @@ def test_two_labels_of_a_fruit_are_one_and_a_word(
     down, up = [1, 1, 3, 1, 11, 7, 11, 9, 9, 9, 1, 3], [9, 1, 11, 1, 11, 3, 3, 9, 1, 9, 1, 7]
     path = coco(tmp_path / "c.json", {"segmentation": [down]}, {"segmentation": [up]})
     assert len(get(path).instances) == 2
+    # A part of a fruit before the whole of it is no fruit.
+    part, whole = [4, 2, 6, 2, 8, 2, 8, 6, 4, 6], [2, 1, 6, 1, 14, 1, 14, 7, 2, 7]
+    path = coco(tmp_path / "c.json", {"segmentation": [part]}, {"segmentation": [whole]})
+    assert [fruit.box[0] for fruit in get(path).instances] == [1.5]

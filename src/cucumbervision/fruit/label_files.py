@@ -22,7 +22,7 @@ from cucumbervision.errors import CucumberVisionError, InstancesError, wrap_read
 from cucumbervision.files import read_json, read_text
 from cucumbervision.fruit.instance import Instance, MaskSource, in_picture
 from cucumbervision.fruit.mask_codes import mask_of_segmentation, polygon_points
-from cucumbervision.fruit.masks import box_iou, box_of_mask, mask_iou
+from cucumbervision.fruit.masks import box_iou, box_of_mask
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -250,13 +250,17 @@ class InstanceFile:
             entry = entry_or_error(record.where, self.source, record.in_picture, width, height)
             if isinstance(entry, InstancesError):
                 refused.append(entry)
-            elif (earlier := _label_of_same(entry[0], entries)) is not None:
-                words = "%s: %s: %s labels the fruit of %s again, and is left out"
-                _log.warning(words, self.source, picture.name, record.where, earlier)
             else:
                 entries.append((record.where, *entry))
-        instances, clipped = (entry[1] for entry in entries), (entry[2] for entry in entries)
-        return FileInstances(tuple(instances), tuple(clipped), tuple(refused))
+        single = []
+        for number, (where, instance, is_clipped) in enumerate(entries):
+            if (other := _label_of_same(number, entries)) is None:
+                single.append((instance, is_clipped))
+            else:
+                words = "%s: %s: %s labels the fruit of %s again, and is left out"
+                _log.warning(words, self.source, picture.name, where, other)
+        instances, clipped = zip(*single, strict=True) if single else ((), ())
+        return FileInstances(instances, clipped, tuple(refused))
 
     @property
     def crowds(self) -> int:
@@ -349,18 +353,25 @@ def read_instances(path: Path | str) -> InstanceFile:
     return InstanceFile(str(path), tuple(read_labels(path)))
 
 
-_SAME_FRUIT = 0.85  # intersection over union
+_SAME_FRUIT, _INSIDE = (
+    0.85,
+    0.8,
+)  # intersection over union of boxes; share of a mask in a larger one
 
 
-def _label_of_same(instance: Instance, earlier: Iterable[tuple[str, Instance, bool]]) -> str | None:
-    """Return the place of an earlier label of the same fruit; None without one."""
-    for where, other, _ in earlier:
-        if instance.class_name != other.class_name:
-            continue
+def _label_of_same(number: int, entries: Sequence[tuple[str, Instance, bool]]) -> str | None:
+    """Return the place of a larger or earlier label of the same fruit; None without one."""
+    instance = entries[number][1]
+    for k, (where, other, _) in enumerate(entries):
         iou = box_iou(instance.box, other.box)
-        if iou >= _SAME_FRUIT and instance.mask is not None and other.mask is not None:
-            iou = mask_iou(instance.mask, other.mask)
-        if iou >= _SAME_FRUIT:
+        if k == number or iou == 0 or instance.class_name != other.class_name:
+            continue
+        is_same = k < number and iou >= _SAME_FRUIT
+        if instance.mask is not None and other.mask is not None:
+            own, others = np.count_nonzero(instance.mask), np.count_nonzero(other.mask)
+            shared = np.count_nonzero(instance.mask & other.mask)
+            is_same = bool(shared >= _INSIDE * own and (others, number) > (own, k))
+        if is_same:
             return where
     return None
 

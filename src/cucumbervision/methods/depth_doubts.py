@@ -30,18 +30,17 @@ MIN_READINGS = 30
 """Number of readings without which depth says nothing."""
 
 _BODY_PX, _SCORE_PX = 10.0, 6.0  # of a radius: more pixels say no more, of a score less
-_AXIS_PIXELS = 2000  # more do not turn the axis
-_MARGIN_RADII = 2.5  # of the strip around the mask
+_AXIS_PIXELS, _MARGIN_RADII = 2000, 2.5  # enough for the axis; of the strip around the mask
 _NEAREST_M = 0.12  # minimum distance of common depth cameras (D405: 7 cm, D435: 17 cm)
 # Ranges of the middle and the flanks: distance from the outline relative to the largest. The flanks
 # of a tube lie 0.12 to 0.55 radii behind the middle, 0.26 in the median.
 _MIDDLE_FROM, _FLANK_RANGE = 0.75, (0.15, 0.5)
-_HOLLOW_RADII = 0.08  # threshold in apparent radii: the middle lies behind the flanks by more
+# In apparent radii: how far the middle of a hollow fruit lies behind the flanks at least, and the
+# differences within a fruit whose depth is one value and noise at most
+_HOLLOW_RADII, _FLAT_RADII = 0.08, 0.04
 # Stereo depth of thin fruit between leaves is hollow, too, but their surroundings are not nearer.
 _SURROUNDING_RADII = (0.3, 1.0)  # beyond the outline
-_CLEAR_SHARE = 0.85  # of the readings there
-_NOISE_SD = 4.0  # standard errors of both medians
-_FLAT_RADII = 0.04  # limit of the differences within a fruit whose depth is one value and noise
+_CLEAR_SHARE, _NOISE_SD = 0.85, 4.0  # of the readings there; standard errors of both medians
 # Size of a piece, relative to the mask, and of a part on one side of a waist. A line that joins
 # pieces is no part of them.
 _LEAST_PIECE, _LEAST_PART, _LINE_RADII = 0.01, 0.1, 0.12
@@ -54,8 +53,7 @@ _GAP_BEHIND, _NOTCH_BEHIND, _GAP_SHARE, _GAP_RADII, _GAP_READINGS = 1.2, 2.0, 0.
 _PLANE_RING_RADII, _LEAST_HEIGHT_RADII, _ROUGHNESS_RADII, _PLANE_STEPS = (0.15, 1.2), 0.5, 0.3, 4
 # Readings in the outline that lie so many radii behind the surface around them, and their share in
 # three quarters of the sections, where outlines are 3 px too wide; distance from the plane around.
-_BEHIND_RADII, _IN_PLANE_RADII, _BESIDE_SHARE = 4.0, 0.3, 0.1
-_PARTS = 12  # sections along a fruit
+_BEHIND_RADII, _IN_PLANE_RADII, _BESIDE_SHARE, _PARTS = 4.0, 0.3, 0.1, 12
 _ONE_VALUE_SHARE = 0.6  # real skin has one value on at most 0.23 of its pixels
 # Width of a stem and of the shoulder half a radius behind it, relative to the fruit's; a tip tapers
 # slowly. Least length of a stem with such a shoulder, and of one without, in radii.
@@ -121,17 +119,15 @@ def depth_doubts(
     is_elsewhere = (
         _lies_in_plane(body) or _lies_behind(body) or _fits_better_elsewhere(depth_m, body)
     )
+    is_coarse = has_coarse_steps(depth_m, readings, may_be_one=not is_sparse)
+    is_coarse |= not is_elsewhere and _has_one_depth(body)
     doubts = {
         Flag.DEPTH_TOO_NEAR: is_too_near,
         Flag.DEPTH_SPARSE: is_sparse,
         Flag.DEPTH_HOLLOW: _is_hollow(body),
         Flag.DEPTH_GAP: _has_gap(body),
         Flag.DEPTH_UNALIGNED: is_elsewhere,
-        Flag.DEPTH_COARSE: not is_too_near
-        and (
-            has_coarse_steps(depth_m, readings, may_be_one=not is_sparse)
-            or (not is_elsewhere and _has_one_depth(body))
-        ),
+        Flag.DEPTH_COARSE: is_coarse and not is_too_near,
     }
     # Wrong depth says nothing of an outline.
     doubts[Flag.OUTLINE_STEM] = not any(doubts.values()) and _has_stem(body)
@@ -253,7 +249,8 @@ def _is_hollow(body: _Body) -> bool:
     if min(middle.size, flank.size) < MIN_READINGS:
         return False
     depth_behind_m = float(quick_median(middle) - quick_median(flank))
-    error_m = np.hypot(_median_error(middle), _median_error(flank))
+    # Standard errors of medians, from the median absolute deviation
+    error_m = np.hypot(*(1.2533 * _robust_sd(a) / np.sqrt(a.size) for a in (middle, flank)))
     if depth_behind_m <= max(_HOLLOW_RADII * body.radius_m, _NOISE_SD * error_m):
         return False
     outside = body.outside_px / body.radius_px
@@ -262,11 +259,6 @@ def _is_hollow(body: _Body) -> bool:
     ]
     nearer = around < body.distance_m
     return around.size >= MIN_READINGS and float(nearer.mean()) >= _CLEAR_SHARE
-
-
-def _median_error(values: Depth) -> float:
-    """Return the standard error of a median, from the median absolute deviation."""
-    return 1.2533 * _robust_sd(values) / float(np.sqrt(values.size))
 
 
 def _has_gap(body: _Body) -> bool:
@@ -326,8 +318,7 @@ def _is_open(body: _Body, first: Places, last: Places) -> bool:
     counts = read.sum(axis=1)
     steps = (counts > 0) & ((behind > _GAP_BEHIND).sum(axis=1) >= _GAP_SHARE * counts)
     ends = np.flatnonzero(np.diff(np.concatenate([[0], steps, [0]])))
-    longest = max(ends[1::2] - ends[::2], default=0)
-    return bool(longest >= max(2.0, _GAP_RADII * body.radius_px))
+    return bool(max(ends[1::2] - ends[::2], default=0) >= max(2.0, _GAP_RADII * body.radius_px))
 
 
 def _is_notched(body: _Body, first: Places, last: Places) -> bool:
@@ -576,7 +567,6 @@ def _scores(layers: Depth, shifts: int) -> Depth:
     return np.asarray(means[0] - means[1], np.float32)
 
 
-_LEVEL_SAMPLES = 10_000
 _LEVEL_READINGS, _LEVELS_SHARE = 3, 0.9  # of a level, and on levels; the rest may be mixtures
 # Of the distance. Depth in millimetres has 0.8 % at 0.12 m, a Kinect 0.6 % at 2 m, a D435 0.2 %.
 _COARSE_STEP = 0.012
@@ -628,8 +618,7 @@ def has_coarse_steps(depth_m: Depth, readings_m: Depth, *, may_be_one: bool = Tr
 
 def _levels(readings_m: Depth) -> Depth:
     """Return the values that nearly all readings have, ascending; empty if there are none."""
-    spacing = max(1, readings_m.size // _LEVEL_SAMPLES)
-    levels_m, counts = np.unique(readings_m[::spacing], return_counts=True)
+    levels_m, counts = np.unique(readings_m, return_counts=True)
     common = counts >= _LEVEL_READINGS
     if counts[common].sum() < _LEVELS_SHARE * counts.sum():
         common[:] = False

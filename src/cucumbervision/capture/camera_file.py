@@ -208,8 +208,9 @@ def read_camera_file(path: Path) -> CameraFile:
 
     Notes
     -----
-    A matrix, or ROS's, is the colour camera's, unless the file's name or its frame's says 'depth'
-    or 'infra'. Ours and pyrealsense2's must say it, in the file or by its name.
+    A matrix, or ROS's, is the colour camera's, unless the name of the file or of its frame
+    contains 'depth' or 'infra'. Ours and pyrealsense2's must name the stream, in the file or in
+    its name.
     """
     data = _read(path)
     data = {"matrix": data} if isinstance(data, list) else data

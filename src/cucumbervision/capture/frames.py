@@ -525,7 +525,7 @@ def is_along_ray(depth_m: NDArray[np.float32], camera: Intrinsics) -> bool:
 
     Most pictures of fruit on a table, a board or before a wall show a plane. Read along the wrong
     direction it is a bowl. Without a plane over much of the picture, as between plants, or in a
-    narrow view nothing can be told.
+    narrow view the direction cannot be determined.
 
     Parameters
     ----------

@@ -221,7 +221,7 @@ def check_intrinsics(
 
     Depth aligned to colour needs the intrinsics of the colour camera. Those of another stream or
     size scale every length; the error message states by how much for a fruit across the view:
-    f_right / f_wrong - 1. The check uses stream, size and the principal point, which tells the size
+    f_right / f_wrong - 1. The check uses stream, size and the principal point, which shows the size
     of picture that a matrix belongs to; not the value of the focal length.
 
     Parameters

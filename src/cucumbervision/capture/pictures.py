@@ -132,13 +132,13 @@ def _read_mask(path: Path, shape: tuple[int, ...]) -> NDArray[np.bool_]:
 
     image = _decode(path, cv2.IMREAD_GRAYSCALE)
     if image.shape != shape[:2]:
-        raise CaptureError(
+        sizes = {"mask": image.shape, "picture": shape}
+        parts = {name: f"{size[1]}x{size[0]}" for name, size in sizes.items()}
+        fault, remedy = (
             "the mask is {mask}, the picture {picture}",
-            source=path,
-            remedy="give a mask of the picture's size",
-            mask=f"{image.shape[1]}x{image.shape[0]}",
-            picture=f"{shape[1]}x{shape[0]}",
+            "give a mask of the picture's size",
         )
+        raise CaptureError(fault, source=path, remedy=remedy, **parts)
     return image > 0
 
 
@@ -204,11 +204,8 @@ def _read_table(path: Path) -> NDArray[Any]:
     if "\t" in first or ";" in first:  # then a comma is a decimal one
         text = text.replace(",", ".").replace("\t", ",").replace(";", ",")
     if text.count(",") > MOST_PIXELS:
-        raise DepthError(
-            f"has more than {MOST_PIXELS / 1e6:g} million cells",
-            source=path,
-            remedy="give a smaller picture",
-        )
+        fault = f"has more than {MOST_PIXELS / 1e6:g} million cells"
+        raise DepthError(fault, source=path, remedy="give a smaller picture")
     with wrap_reader_errors(path, DepthError, "give a line of numbers for each row of pixels"):
         table = np.loadtxt(text.splitlines(), delimiter=",", ndmin=2)
     is_integer = bool(np.isfinite(table).all() and (table == np.rint(table)).all())

@@ -177,13 +177,14 @@ def apply_settings(rs: Any, device: Any, settings: CameraSettings, source: objec
     sensors = {sensor.get_info(rs.camera_info.name): sensor for sensor in device.query_sensors()}
     for name, option, value in wanted:
         sensor = sensors.get(name)
-        text = f"the {name.lower()}'s {option.name.replace('_', ' ')} cannot be"
+        text = f"{name.lower()}'s {option.name.replace('_', ' ')}"
         if sensor is None or not sensor.supports(option):
-            raise CameraError(f"{text} set", source=source, remedy="leave that setting out")
+            fault, remedy = "the {setting} cannot be set", "leave that setting out"
+            raise CameraError(fault, source=source, remedy=remedy, setting=text)
         limits = sensor.get_option_range(option)
         if not limits.min <= value <= limits.max:
             remedy = f"give {limits.min:g} to {limits.max:g}, in the camera's own steps"
-            raise CameraError(f"{text} {value:g}", source=source, remedy=remedy)
+            raise CameraError(f"the {text} cannot be {value:g}", source=source, remedy=remedy)
         try:
             sensor.set_option(option, value)
         except RuntimeError as error:

@@ -45,11 +45,11 @@ class ReadOptions:
         floats.
     depth_along : DepthAlong, optional
         Whether depth is along the optical axis, or along each pixel's ray; by default as the
-        camera file says, otherwise along the axis.
+        camera file states, otherwise along the axis.
     aligned_to : Stream, optional
         The camera whose pixels both pictures have: 'depth' for colour that was aligned to depth;
         'color' for depth that may have fewer pixels than colour, over the same field of view. By
-        default as the camera file says, otherwise depth aligned to colour at its size.
+        default as the camera file states, otherwise depth aligned to colour at its size.
     burst : int
         Number of frames per capture, for recordings.
 
@@ -69,7 +69,7 @@ class ReadOptions:
     aligned_to: Stream | None = None
 
     def with_camera(self, camera: CameraFile | None) -> ReadOptions:
-        """Return the options with what a camera file says where the user does not."""
+        """Return the options, completed by what a camera file states."""
         if camera is None:
             return self
         return replace(

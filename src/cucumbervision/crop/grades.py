@@ -446,7 +446,7 @@ _PART, _UNCERTAIN = "only part of it is seen", "the length is uncertain"
 def _reason(
     name: str, profile: CropProfile, range_m: tuple[float, float], checks: tuple[_Check, ...]
 ) -> str:
-    """Return why a fruit is in no better class; empty in the best class, or if the name says it."""
+    """Return why a fruit is in no better class; empty in the best class or if the name shows it."""
     if name == UNDECIDED and math.isinf(range_m[1]):
         return _PART if range_m[0] else _UNCERTAIN
     if name in (profile.classes[0].name, UNDECIDED, *profile.outcomes[-2:]):

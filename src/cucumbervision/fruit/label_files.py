@@ -69,7 +69,7 @@ class LabelledInstance:
     is_crowd : bool
         True for a region of several fruit.
     entry : mapping
-        The entry as it stands in a COCO file; `kpt_shape` of keypoints without visibility in YOLO.
+        The entry as in a COCO file; `kpt_shape` of keypoints without visibility in YOLO.
     """
 
     where: str
@@ -138,7 +138,7 @@ class LabelledImage:
     records : list of LabelledInstance or InstancesError
         Its instances, or the error of each unreadable one.
     entry : mapping
-        The image as it stands in a COCO file.
+        The image as in a COCO file.
     """
 
     name: str
@@ -540,7 +540,7 @@ def parse_yolo_line(
     names : sequence of str
         Class names; the class number replaces a missing one.
     kpt_shape : tuple of int, optional
-        Number of keypoints and of numbers a keypoint, (0, 0) for none, where the data set says it.
+        Number of keypoints and of numbers a keypoint, (0, 0) for none, if the data set states it.
 
     Returns
     -------

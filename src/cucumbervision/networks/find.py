@@ -322,7 +322,7 @@ class NetworkLoader:
         self.segmenter = cache(self._segmenter)
 
     def stem_looker(self) -> FruitLooker | None:
-        """Return what tells the stem end, if a loaded network orders keypoints by place."""
+        """Return the network that finds the stem end, if a loaded one orders keypoints by place."""
         return self.fruit_looker() if self._orders_ends else None
 
     @property

@@ -4,7 +4,7 @@ A detector sees the picture at 640 pixels and draws masks on a quarter of them; 
 detection shows the fruit as the camera did: its outline, its keypoints, what it is. Depth shows an
 object beside an end, but not whether the fruit continues behind it: leaves and stems hang at nearly
 the same distance. A crop around each end of a measured axis, turned so that the fruit always comes
-from the left, says whether it is the true end, and what is missing.
+from the left, decides whether it is the true end, and what is missing.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ _EVEN = 1.0
 
 @dataclass(frozen=True, eq=False)
 class FruitLook:
-    """What the network says of one crop.
+    """The network's output for one crop.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ class FruitLook:
     stem_last: float
 
     def turned(self) -> FruitLook:
-        """Return what this look at a crop turned by half a turn says of the crop as it was."""
+        """Convert a look at a crop turned by half a turn to the crop before it was turned."""
         points = self.points[::-1].copy()
         points[:, :2] = (WIDTH_PX - 1, HEIGHT_PX - 1) - points[:, :2]
         return FruitLook(self.outline[::-1, ::-1], points, self.fruit, -self.stem_last)
@@ -138,7 +138,7 @@ class FruitLooker(SmallNetwork):
     outputs = 3
 
     def look(self, crops: Sequence[FruitCrop], *, once: bool = False) -> list[FruitLook]:
-        """Return what the network says of crops, computed in one batch.
+        """Return the network's output for crops, computed in one batch.
 
         Each look is the mean for the crop and for the crop turned by half a turn. A crop and the
         turned one thus get the same outline, and exactly opposite stem ends.
@@ -257,7 +257,7 @@ class PictureLooks:
         return tuple(ordered)
 
     def _looks(self, instances: Sequence[Instance]) -> dict[int, tuple[FruitCrop, FruitLook]]:
-        """Return crops and what the network says of them, by number, of instances with a mask."""
+        """Return crops and looks at them, by number, of instances with a mask."""
         masks = {k: x.detector_mask for k, x in enumerate(instances) if x.detector_mask is not None}
         new = {id(mask): mask for mask in masks.values() if id(mask) not in self._done}
         crops = {
@@ -291,8 +291,8 @@ def rescored(confidence: float, log_odds: float) -> float:
     >>> round(rescored(0.2, 1.0), 3), round(rescored(0.2, 4.0), 3), round(rescored(0.2, -4.0), 3)
     (0.2, 0.454, 0.005)
     """
-    detected, said = logit(np.clip(confidence, 1e-6, 1 - 1e-6)), log_odds - _EVEN
-    return float(expit(detected + (_RAISING if said > 0 else _LOWERING) * said))
+    detected, shown = logit(np.clip(confidence, 1e-6, 1 - 1e-6)), log_odds - _EVEN
+    return float(expit(detected + (_RAISING if shown > 0 else _LOWERING) * shown))
 
 
 def refined(
@@ -310,7 +310,7 @@ def refined(
     crop : FruitCrop
         Its crop.
     look : FruitLook
-        What the network says of the crop.
+        The network's output for the crop.
     neighbours : sequence of ndarray of bool, shape (H, W)
         Masks of other fruit, whose pixels stay theirs.
     """
@@ -335,7 +335,7 @@ def stem_last(instance: Instance, crop: FruitCrop, look: FruitLook) -> Instance:
     crop : FruitCrop
         Its crop.
     look : FruitLook
-        What the network says of the crop.
+        The network's output for the crop.
     """
     points = instance.keypoints
     if points is None:

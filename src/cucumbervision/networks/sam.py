@@ -292,13 +292,7 @@ def _with_mask(
     detector_mask = instance.detector_mask
     if detector_mask is not None and detector_mask.any():
         agreement = mask_ious(logits > 0, mask_to_sam(detector_mask, logits.shape[1:]))
-    best = int((sure + agreement).argmax())
-    return accepted(instance, mask_from_logits(logits[best], height, width), box)
-
-
-def accepted(instance: Instance, mask: NDArray[np.bool_], box: NDArray[np.float64]) -> Instance:
-    """Return an instance with a drawn mask, unless it cannot be the fruit in its box."""
-    detector_mask = instance.detector_mask
+    mask = mask_from_logits(logits[int((sure + agreement).argmax())], height, width)
     fault = _mask_fault(mask, box)
     if fault == "mask-off-box" and detector_mask is not None and detector_mask.any():
         in_box = share_inside(box_of_mask(mask)[None], box[None])[0] >= _MIN_INSIDE

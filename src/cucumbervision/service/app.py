@@ -300,12 +300,12 @@ class _Metrics:
     def __init__(self) -> None:
         self.registry = CollectorRegistry()
         of: dict[str, Any] = {"namespace": "cucumbervision", "registry": self.registry}
-        says = "Requests by path and status"
-        self.requests = Counter("requests", says, ("path", "status"), **of)
-        says = "Captures, pictures, fruit and failures of answers"
-        self.results = Counter("found", says, ("what",), **of)
-        says = "Time of admitted requests, waiting included"
-        self.seconds = Histogram("request_seconds", says, ("path",), buckets=_TIMES_S, **of)
+        help_text = "Requests by path and status"
+        self.requests = Counter("requests", help_text, ("path", "status"), **of)
+        help_text = "Captures, pictures, fruit and failures of answers"
+        self.results = Counter("found", help_text, ("what",), **of)
+        help_text, paths = "Time of admitted requests, waiting included", ("path",)
+        self.seconds = Histogram("request_seconds", help_text, paths, buckets=_TIMES_S, **of)
 
     def count(self, path: str, status: int, taken_s: float) -> None:
         """Count a request, and record the time of an admitted one."""

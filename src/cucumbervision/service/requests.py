@@ -190,7 +190,7 @@ class HeadLimit(H11Protocol):
         super().connection_lost(exc)
 
     def send_400_response(self, msg: str) -> None:
-        """Refuse a malformed request; who answers its first part is told that the client left."""
+        """Refuse a malformed request; a handler of its first part sees a disconnected client."""
         cycle: Any = self.cycle
         if cycle is not None and not cycle.response_complete:
             cycle.disconnected = True

@@ -228,7 +228,7 @@ _WALK_M_S = 1.0  # assumed speed of the camera before it is known
 _TURN_M_S = 0.5  # change of that speed per second
 _DRIFT_M_S = 0.03  # growth of a position's standard deviation while its fruit is out of sight
 _STILL_M = 0.005
-_HALF_OVERLAP = 0.25  # of masks: says neither that they are one fruit nor two
+_HALF_OVERLAP = 0.25  # of masks: no evidence for one fruit nor for two
 _LEAST_OVERLAP = 0.03  # offset against log 0
 
 

@@ -75,9 +75,9 @@ def choose_intrinsics(
         if not camera_file.is_sized:
             middle = camera.cx_px / width, camera.cy_px / height
             if not all(_MIDDLE <= part <= 1 - _MIDDLE for part in middle):
-                fault = "does not say its size, and {cx:g}, {cy:g} px is not near the middle of a "
                 raise IntrinsicsError(
-                    fault + "picture of {size}",
+                    "does not say its size, and {cx:g}, {cy:g} px is not near the middle of a "
+                    "picture of {size}",
                     source=camera_file.path,
                     remedy="give the intrinsics of this size of picture",
                     **{"cx": camera.cx_px, "cy": camera.cy_px, "size": f"{width}x{height}"},

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 _COLOR_WORD = re.compile(r"colou?r|rgb", re.IGNORECASE)
 _DEPTH_WORD = re.compile(r"depth", re.IGNORECASE)
-# Lists of a TUM sequence: its depth has steps of 1/5000 m, or others, which no file says.
+# Lists of a TUM sequence: its depth has steps of 1/5000 m or others; no file states which.
 _TUM_LIST = re.compile(r"assoc(iat(e|ed|ions))?\.txt|rgb\.txt", re.IGNORECASE)
 
 
@@ -52,7 +52,8 @@ class Pair:
     ) -> Capture:
         """Read the frame."""
         if self.color is None or self.depth is None:
-            fault = f"has no {'depth' if self.color else 'colour'} picture of a matching name"
+            fault = "has no depth picture of a matching name"
+            fault = fault if self.color else "has no colour picture of a matching name"
             source = self.color or self.depth
             raise CaptureError(fault, source=source, remedy="put it beside this one")
         if isinstance(camera, CaptureError):
@@ -187,7 +188,7 @@ def _without_roles(part: str) -> str:
 
 
 def _separator(match: re.Match[str]) -> str:
-    """Return what stands for a removed word: the separator before it, if it stood between two."""
+    """Return the replacement of a removed word: the separator before it, if it was between two."""
     before, after = match.groups()
     if before and after:
         return str(before) if match.start() and match.end() < len(match.string) else ""

@@ -18,16 +18,17 @@ from cucumbervision_greenhouse.rounds.row_views import pairs_within
 if TYPE_CHECKING:
     from cucumbervision_greenhouse.rounds.row_views import Bools, Floats, Ints, RowFruit
 
-_STAY_SHARE = 0.7  # share of fruit that are still there and seen
+_STAY_SHARE = 0.75  # share of fruit that are still there and seen
 # How far a fruit hangs off its plant's shift: along, up, into the row.
 _SWING_M = 0.04, 0.04, 0.05
 _MOST_ALONG_M, _MOST_UP_M = 1.2, 0.8  # farthest shift that is looked for
 _STRETCH_M = 3.0  # length of row whose plants are taken to be moved alike
 _CHANGE_M = 0.05  # how far neighbouring stretches usually differ
-SURE = 0.8  # probability from which a link counts for growth
+SURE = 0.85  # probability from which a pair is linked; below, people are asked
 _STUDENT_FREEDOM = 4.0
 _PASSES = 6
 _BELIEF_STEPS = 40
+_WIDE = 2.5  # how much wider growth is until links show it
 _PRIOR_LINKS = 20.0  # weight of the prior of swinging, in links
 
 
@@ -96,12 +97,14 @@ def link_days(
     a, b = _tops(earlier), _tops(later)
     knots = _knots(a[:, ALONG])
     i, j = _near(a[:, ALONG], b[:, ALONG], _MOST_ALONG_M + 4 * _SWING_M[0])
-    grown, grown_sd = growth_m * days, growth_sd_m * days
-    size = _size_ratio(earlier, later, i, j, grown, grown_sd)
+    grown_m, error_m, width_m = _grown(earlier, later, i, j)
+    prior = growth_m * days, growth_sd_m * days
+    size = _size_ratio(grown_m, error_m, width_m, prior[0], _WIDE * prior[1])
     noise = earlier.place_sd_m[i] ** 2 + later.place_sd_m[j] ** 2
     noise = noise + _hidden_variance(earlier, later, i, j)
     swing = np.square(_SWING_M)
-    other_density = _other_density(b)
+    # A fruit that is linked to none is new, and what it might be linked to was picked or missed.
+    other_density = _other_density(b) + 2 * np.log(1 - _STAY_SHARE)
     shift = _vote(knots, a, b, (i, j), size, noise + swing, other_density)
     field, spread = shift, np.full_like(shift, _SWING_M[0])
     for _ in range(_PASSES):
@@ -112,6 +115,8 @@ def link_days(
         pairs = _assign(i, j, ratio, len(a), len(b))
         field, spread = _fit(knots, a, b, (i[pairs], j[pairs]), variance[pairs], shift)
         swing = _swing(gap[pairs], variance[pairs] - swing)
+        growth = _growth(grown_m[pairs], error_m[pairs], prior)
+        size = _size_ratio(grown_m, error_m, width_m, *growth)
     chance = _chances(i, j, ratio, len(a), len(b))[pairs]
     likely = chance > 0.5
     linked = np.column_stack([i[pairs], j[pairs]])[likely]
@@ -157,18 +162,36 @@ def _near(a: Floats, b: Floats, gate_m: float) -> tuple[Ints, Ints]:
     return lower[between], upper[between] - len(a)
 
 
-def _size_ratio(
-    earlier: RowFruit, later: RowFruit, i: Ints, j: Ints, grown_m: float, grown_sd_m: float
-) -> Floats:
-    """Return the log likelihood ratio of sizes: of one fruit that grew, against any other."""
+def _grown(earlier: RowFruit, later: RowFruit, i: Ints, j: Ints) -> tuple[Floats, Floats, float]:
+    """Return how much longer each pair is later, its error, and the width of lengths in the row.
+
+    The first is NaN where one of the two is a lower bound, or not known.
+    """
     earlier_m, later_m = earlier.length_m[i], later.length_m[j]
-    comparable = np.isfinite(earlier_m + later_m) & ~earlier.partial[i] & ~later.partial[j]
+    is_partial = earlier.partial[i] | later.partial[j]
     error = np.hypot(earlier_m * earlier.length_sd[i], later_m * later.length_sd[j])
-    sd = np.sqrt(error**2 + grown_sd_m**2 + 0.003**2)
     measured_m = later.length_m[np.isfinite(later.length_m)]
     width = max(float(np.sqrt(12) * measured_m.std()), 0.1) if len(measured_m) else 0.3
-    same_fruit = log_density(later_m - earlier_m - grown_m, sd**2) + np.log(width)
-    return np.asarray(np.where(comparable, np.maximum(same_fruit, -6.0), 0.0), np.float64)
+    return np.where(is_partial, np.nan, later_m - earlier_m), np.hypot(error, 0.003), width
+
+
+def _growth(grown_m: Floats, error_m: Floats, prior: tuple[float, float]) -> tuple[float, float]:
+    """Return the growth of the row's fruit and its spread: the prior's and the links' own."""
+    known = np.isfinite(grown_m)
+    count, (mean_m, sd_m) = int(known.sum()), prior
+    if count:
+        middle = float(np.median(grown_m[known]))
+        wide = (_WIDE * sd_m) ** 2 / (sd_m**2 + float(np.median(error_m[known])) ** 2)
+        mean_m += count * wide / (1 + count * wide) * (middle - mean_m)
+    return mean_m, sd_m * float(np.hypot(1, _WIDE / (1 + count)))
+
+
+def _size_ratio(
+    grown_m: Floats, error_m: Floats, width_m: float, mean_m: float, sd_m: float
+) -> Floats:
+    """Return the log likelihood ratio of sizes: of one fruit that grew, against any other."""
+    same_fruit = log_density(grown_m - mean_m, error_m**2 + sd_m**2) + np.log(width_m)
+    return np.asarray(np.where(np.isnan(grown_m), 0.0, np.maximum(same_fruit, -6.0)), np.float64)
 
 
 def _hidden_variance(earlier: RowFruit, later: RowFruit, i: Ints, j: Ints) -> Floats:

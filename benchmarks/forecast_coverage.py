@@ -5,7 +5,7 @@
 
 Growth of the simulated houses differs by house, row, fruit and day; lengths are measured with
 errors. The fruit that were seen are counted, in cells that the forecast calls complete. The
-95 % interval of the coverage comes from resampling houses, as the cells of one are not independent.
+harvests give growth, too, for simulated houses of which a walk every second day finds 90 %.
 
 FOLDER holds `X_daily.csv` and `X_weekly.csv` of several compartments X under one sky, with the
 columns of the Autonomous Greenhouse Challenge 2018 (Hemming et al., Sensors 19(8) 1807) as read
@@ -41,6 +41,7 @@ class Scenario:
     links: int
     mean_cm: float | None = None
     full_m: float = float("inf")
+    found: float = 1.0
 
 
 SCENARIOS = (
@@ -67,7 +68,8 @@ def run_house(scenario: Scenario, seed: int) -> tuple[float, ...]:
     spreads = Spreads(p.house, p.row * row, p.fruit * fruit, p.day * day, p.fruit_day * fruit_day)
     drawn = prior.mean_m + p.house * rng.standard_normal()
     mean = max(drawn, 0.005) if scenario.mean_cm is None else scenario.mean_cm / 100
-    settings = HouseSettings(mean, spreads, links=scenario.links, full_m=scenario.full_m)
+    options = {name: getattr(scenario, name) for name in ("links", "full_m", "found")}
+    settings = HouseSettings(mean, spreads, **options)
     house = simulate_house(settings, seed)
     prediction = forecast(house.fruit, fit_growth(house.fruit, prior), PROFILE, seed=seed)
     return compare(prediction, house)
@@ -106,12 +108,8 @@ def compare(prediction: Forecast, house: SimulatedHouse) -> tuple[float, ...]:
 def report(scenario: Scenario, outcomes: list[tuple[float, ...]]) -> str:
     """Return one line of the table."""
     share, error, naive, picks, picks_error = np.mean(outcomes, axis=0)
-    resampled = np.random.default_rng(0).choice([o[0] for o in outcomes], (2000, len(outcomes)))
-    lower, upper = np.quantile(resampled.mean(axis=1), [0.025, 0.975])
-    return (
-        f"| {scenario.name} | {100 * share:.0f} ({100 * lower:.0f} to {100 * upper:.0f}) "
-        f"| {error:.1f} / {naive:.1f} | {100 * picks_error / picks:.0f} |"
-    )
+    errors = f"{error:.1f} / {naive:.1f} | {100 * picks_error / picks:.0f}"
+    return f"| {scenario.name} | {100 * share:.0f} | {errors} |"
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +119,7 @@ class Compartment:
     name: str
     is_open: NDArray[np.bool_]
     fruit: Floats
-    weather: Floats
+    air_c: Floats
     ripe: Floats
 
 
@@ -132,22 +130,22 @@ def read_compartment(path: Path) -> Compartment:
     dates = [datetime.date.fromisoformat(row["date"]) for row in rows]
     last = {date.isocalendar().week: float(day) for day, date in enumerate(dates)}
     fruit = "class_a_fruit_per_m2", "class_b_fruit_per_m2"
-    weather = "air_mean_c", "outside_radiation_mj_per_m2", "lamps_mean_pct"
     ripe = [(last[int(row["iso_week"])], row["days_from_flower_to_harvest"]) for row in weeks]
     return Compartment(
         path.name[0],
         np.array([date.isoweekday() < 7 for date in dates]),  # nobody picked on a Sunday
         np.array([[row[name] for name in fruit] for row in rows], np.float64).sum(axis=1),
-        np.array([[row[name] or "nan" for name in weather] for row in rows], np.float64),
+        np.array([row["air_mean_c"] or "nan" for row in rows], np.float64),
         np.array([(day, days) for day, days in ripe if days], np.float64),
     )
 
 
+GROWN_CM = 30  # by which a cucumber grows from flower to harvest
+TABLE = "| house | seen twice | hold, % | error / naive | picks of 3 days, error in % |"
 METHODS = (
     "last week's rate",
     "own season's rate, Sundays closed",
     "with the others' seasons, worth four weeks",
-    "the others on these days, known afterwards",
 )
 
 
@@ -162,7 +160,6 @@ def forecast_picks(
     return (
         float(house.fruit[day - 7 : day].mean() * days),
         *(float(rate * house.is_open[ahead].sum()) for rate in rates),
-        float(np.mean([o.fruit[ahead].sum() for o in others])),
     )
 
 
@@ -179,15 +176,12 @@ def pick_errors(houses: list[Compartment], days: int) -> Floats:
     return np.asarray(100 * sums[:-1] / sums[-1], np.float64)
 
 
-KNOWN = ("temperature", "fruit load", "sun", "lamps")
-
-
 def ripening(house: Compartment) -> tuple[Floats, Floats]:
     """Return what is known of each week, beside 1, and the logarithm of the days it took."""
     rows = []
     for day in house.ripe[:, 0].astype(int):
-        air_c, sun_mj, lamps = np.nanmean(house.weather[max(day - 20, 0) : day + 1], axis=0)
-        rows.append([1.0, air_c, house.fruit[max(day - 13, 0) : day + 1].mean(), sun_mj, lamps])
+        air_c = np.nanmean(house.air_c[max(day - 20, 0) : day + 1])
+        rows.append([1.0, air_c, house.fruit[max(day - 13, 0) : day + 1].mean()])
     return np.array(rows), np.log(house.ripe[:, 1])
 
 
@@ -213,10 +207,17 @@ def harvests(folder: Path) -> None:
         for method, errors in zip(METHODS, pick_errors(houses, days), strict=True):
             print(f"| {method} | {days} | {' | '.join(f'{e:.1f}' for e in errors)} |")
     print(f"| days from flower to harvest by, median error | {head}")
-    for columns in ([], [3, 4], [1], [1, 2], [1, 2, 3, 4]):
-        errors = ripening_errors(houses, [0, *columns])
-        names = ", ".join(KNOWN[k - 1] for k in columns) or "a constant"
-        print(f"| {names} | {' | '.join(f'{e:.2f}' for e in errors)} |")
+    for name, columns in {"a constant": [0], "temperature and load": [0, 1, 2]}.items():
+        errors = ripening_errors(houses, columns)
+        print(f"| {name} | {' | '.join(f'{e:.2f}' for e in errors)} |")
+    print(TABLE)
+    ripe = np.concatenate([house.ripe for house in houses])
+    for month in range(3):
+        days = ripe[ripe[:, 0] // 30 == month, 1]
+        houses_of_month = [Scenario("", 500, GROWN_CM / x, found=0.9) for x in days]
+        outcomes = [run_house(scenario, seed) for seed, scenario in enumerate(houses_of_month)]
+        name = f"month {month + 1}: {np.median(days):.0f} days from flower to harvest | 500"
+        print(report(Scenario(name, 500), outcomes))
 
 
 def main() -> None:
@@ -228,10 +229,7 @@ def main() -> None:
     if options.harvests:
         harvests(options.harvests)
         return
-    print(
-        "| house | seen twice | hold, % | error / naive | picks of 3 days, error in % |\n"
-        "|---|--:|--:|--:|--:|"
-    )
+    print(TABLE)
     for scenario in SCENARIOS:
         outcomes = [run_house(scenario, seed) for seed in range(options.houses)]
         print(report(scenario, outcomes), flush=True)

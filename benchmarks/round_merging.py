@@ -1,68 +1,60 @@
 """How well views are merged into fruit, fruit counted, and fruit linked between days.
 
     OMP_NUM_THREADS=1 python -m benchmarks.round_merging --rows 20
+    python -m benchmarks.round_merging --captures FOLDER
 
 Rows are simulated (`tests/simulated_rows.py`). Precision and recall are of pairs of
-views: of the pairs that were merged, how many are one fruit, and the reverse. Beside it stands what
-position alone does: views of neighbouring stops nearer to each other than three standard
-deviations, one to one. Intervals are 95 %, from resampling rows.
+views: of the pairs that were merged, how many are one fruit, and the reverse; of the links between
+days, of the sure ones. Intervals are 95 %, from resampling rows.
+
+FOLDER holds `on_plant/` and `intrinsics.json` of a real D435. Its captures are a row with a stop
+every metre, and two days later the same with the camera moved and everything as much larger.
 """
 
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass, replace
+import tempfile
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 from tests.simulated_rows import SimulatedRow, Walk, grow_plants, simulate_row, walk
 
+from cucumbervision.capture.source import ReadOptions
+from cucumbervision.run.options import MeasureOptions
+from cucumbervision.run.whole_run import measure_inputs
 from cucumbervision_greenhouse.rounds.day_linking import DayLinks, link_days
 from cucumbervision_greenhouse.rounds.merge import Merged, cluster_pairs, merge_row
-from cucumbervision_greenhouse.rounds.row_views import row_fruit
+from cucumbervision_greenhouse.rounds.row_views import RowFruit, row_fruit
+from cucumbervision_greenhouse.store.records import SURE
 
-UPRIGHT = {"reach": (0.384, 0.687), "band_m": 0.8}
 CASES = {
     "8 a metre": SimulatedRow(per_m=8),
     "10 a metre": SimulatedRow(per_m=10),
     "12 a metre": SimulatedRow(per_m=12),
     "14 a metre": SimulatedRow(per_m=14),
     "operator 6 cm": SimulatedRow(operator_sd_m=0.06),
-    "10 % missed": SimulatedRow(missed=0.10),
-    "half hidden in part": SimulatedRow(hidden=0.5),
-    "places 1 cm": SimulatedRow(place_sd_m=0.01),
-    "lengths 5 %": SimulatedRow(length_sd=0.05),
     "all of it": SimulatedRow(
         per_m=14, operator_sd_m=0.06, missed=0.10, hidden=0.4, place_sd_m=0.01, length_sd=0.03
     ),
-    "upright camera": SimulatedRow(per_m=10, **UPRIGHT),  # type: ignore[arg-type]
     "both aisles": SimulatedRow(sides=2),
-    "both aisles, all": SimulatedRow(
-        sides=2, per_m=14, operator_sd_m=0.06, missed=0.10, hidden=0.4, place_sd_m=0.01
-    ),
 }
 DAYS = {
-    "1 day, 8 a metre": (1.0, SimulatedRow(per_m=8), 0.03),
-    "1 day, 12 a metre": (1.0, SimulatedRow(per_m=12), 0.03),
-    "2 days, 10 a metre": (2.0, SimulatedRow(per_m=10), 0.03),
-    "3 days, 10 a metre": (3.0, SimulatedRow(per_m=10), 0.03),
-    "2 days, swing 6 cm": (2.0, SimulatedRow(per_m=10), 0.06),
-    "2 days, upright camera": (2.0, SimulatedRow(per_m=10, **UPRIGHT), 0.03),  # type: ignore[arg-type]
+    "1 day, 8 a metre": (1.0, SimulatedRow(per_m=8), 0.03, 0.03),
+    "3 days, 10 a metre": (3.0, SimulatedRow(per_m=10), 0.03, 0.03),
+    **{
+        f"2 days, {cm} cm a day, error 5 cm": (
+            2.0,
+            SimulatedRow(operator_sd_m=0.05),
+            0.03,
+            cm / 100,
+        )
+        for cm in (0, 1.5, 3, 5)
+    },
+    "2 days, swing 6 cm": (2.0, SimulatedRow(per_m=10), 0.06, 0.03),
 }
-
-
-@dataclass(frozen=True)
-class Quality:
-    """Precision, recall, relative error of the number found; the same by position only."""
-
-    precision: float
-    recall: float
-    count_error: float
-    naive_precision: float
-    naive_recall: float
-    naive_count_error: float
-    stop_error_m: float
 
 
 def codes(cluster: NDArray[np.integer]) -> set[int]:
@@ -83,39 +75,15 @@ def shares(measured: set[int], truth: set[int]) -> tuple[float, float]:
     return hits / max(len(measured), 1), hits / max(len(truth), 1)
 
 
-def by_position(row: Walk) -> NDArray[np.int64]:
-    """Merge by position alone: each capture one to one with the fruit so far, within 3 sd."""
-    views, stops = row.views, row.stops
-    along = stops.at_m[views.stop, 0] + views.offset_m[:, 0]
-    cluster = np.full(len(views), -1)
-    last: NDArray[np.float64] = np.zeros(0)
-    gate = 3 * np.sqrt(2) * float(stops.sd_m[0, 0])
-    for capture in np.unique(views.capture):
-        readings = np.flatnonzero(views.capture == capture)
-        gap = np.abs(along[readings][:, None] - last)
-        a, b = linear_sum_assignment(np.minimum(gap, gate))
-        is_near = gap[a, b] < gate
-        cluster[readings[a[is_near]]] = b[is_near]
-        new = readings[cluster[readings] < 0]
-        cluster[new] = len(last) + np.arange(len(new))
-        last = np.append(last, along[new])
-    return cluster
+def merged_quality(row: Walk, merged: Merged) -> tuple[float, ...]:
+    """Return precision, recall, and the relative error of the number found."""
+    count_error = (int(merged.cluster.max()) + 1) / row.in_view - 1
+    return *shares(codes(merged.cluster), codes(truth(row))), count_error
 
 
-def merged_quality(row: Walk, merged: Merged) -> Quality:
-    """Hold a merged row against its truth."""
-    true_codes = codes(truth(row))
-    naive = by_position(row)
-    return Quality(
-        *shares(codes(merged.cluster), true_codes),
-        (int(merged.cluster.max()) + 1) / row.in_view - 1,
-        *shares(codes(naive), true_codes),
-        (int(naive.max()) + 1) / row.in_view - 1,
-        float(merged.stops.sd_m[:, 0].mean()),
-    )
-
-
-def linked(days: float, settings: SimulatedRow, swing_m: float, seed: int) -> NDArray[np.float64]:
+def linked(
+    days: float, settings: SimulatedRow, swing_m: float, growth_m: float, seed: int
+) -> NDArray[np.float64]:
     """Return precision and recall of links, of the sure ones, and calibration of probabilities."""
     first = simulate_row(settings, seed)
     rng = np.random.default_rng([13, seed])
@@ -124,7 +92,7 @@ def linked(days: float, settings: SimulatedRow, swing_m: float, seed: int) -> ND
     jump = np.append(rng.normal(0, 0.08, 2), 0.0)
     along = first.plants.place_m[:, :1]
     field = shift + np.where(along > rng.uniform(0.3, 0.7) * along.max(), jump, 0.0)
-    plants = grow_plants(first.plants, days, field, rng, swing_m=swing_m)
+    plants = grow_plants(first.plants, days, field, rng, swing_m=swing_m, growth_m=growth_m)
     # The camera is lowered too, and what has left its view cannot be linked.
     plants = replace(plants, place_m=plants.place_m - [0.0, shift[1], 0.0])
     second = walk(plants, settings, rng)
@@ -136,16 +104,55 @@ def linked(days: float, settings: SimulatedRow, swing_m: float, seed: int) -> ND
     right = names[0][links.pairs[:, 0]] == names[1][links.pairs[:, 1]]
     right &= names[0][links.pairs[:, 0]] >= 0
     in_both = len(set(names[0][names[0] >= 0]) & set(names[1][names[1] >= 0]))
-    sure = links.sure
+    sure = links.probability >= SURE
     return np.array(
         [
-            right.mean(),
-            right.sum() / in_both,
             right[sure].mean() if sure.any() else np.nan,
             right[sure].sum() / in_both,
             links.probability.mean() - right.mean(),
         ]
     )
+
+
+def real_links(folder: Path) -> None:
+    """Print of real fruit how many are linked rightly and wrongly, for sure."""
+    options = MeasureOptions(reading=ReadOptions(intrinsics=folder / "intrinsics.json"))
+    with tempfile.TemporaryDirectory() as out:
+        rows = measure_inputs([folder / "on_plant"], Path(out), options).rows
+    table, stops = [], list(dict.fromkeys(row["capture"] for row in rows))
+    for row in (row for row in rows if row["length_cm"] and row["stem_x_m"] is not None):
+        ends = [
+            [float(str(row[f"{end}_{axis}_m"])) for axis in "xyz"] for end in ("stem", "blossom")
+        ]
+        x, y, z = np.mean(ends, axis=0)
+        low, high = row["interval_low_cm"], row["interval_high_cm"]
+        sd = np.log(float(str(high)) / float(str(low))) / 3.29 if low and high else 0.08
+        partial = row["at_least"] or float(str(row["hidden_share"] or 0)) > 0.1
+        table.append(
+            (stops.index(row["capture"]), x, -y, z, float(str(row["length_cm"])), sd, partial)
+        )
+    fruit = np.array(table, np.float64)
+    print("| fruit | grown by | moved by 0, 4, 8 cm: right / wrong |\n|--:|--:|--:|")
+    for count in (9, 12):
+        for share in (1.0, 1.06, 1.12, 1.25):
+            counts = []
+            for moved_m in (0.0, 0.04, 0.08):
+                before, after = (
+                    row_at(fruit[:count], 1.0, 0.0),
+                    row_at(fruit[:count], share, moved_m),
+                )
+                links = link_days(before, after, 2.0)
+                right = (links.pairs[:, 0] == links.pairs[:, 1])[links.probability >= SURE]
+                counts.append(f"{right.sum()} / {(~right).sum()}")
+            print(f"| {count} | {share} | {', '.join(counts)} |")
+
+
+def row_at(fruit: NDArray[np.float64], share: float, moved_m: float) -> RowFruit:
+    """Return fruit as a row with a stop every metre, its camera moved and all as much larger."""
+    place = fruit[:, 1:4] * share + np.outer(fruit[:, 0], [1, 0, 0]) - [moved_m, 0, 0]
+    errors = np.tile([0.03, 0.006, 0.008], (len(fruit), 1))
+    lengths = fruit[:, 4] * share / 100, np.maximum(fruit[:, 5], 0.01)
+    return RowFruit(np.arange(len(fruit)), place, errors, *lengths, fruit[:, 6] > 0)
 
 
 def interval(values: NDArray[np.float64]) -> str:
@@ -161,27 +168,22 @@ def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rows", type=int, default=20, help="rows of each case")
-    rows = parser.parse_args().rows
+    parser.add_argument("--captures", type=Path, help="folder of real captures")
+    options = parser.parse_args()
+    if options.captures:
+        real_links(options.captures)
+        return
+    rows = options.rows
     for name, settings in CASES.items():
-        qualities = []
-        for seed in range(rows):
-            row = simulate_row(settings, seed)
-            qualities.append(merged_quality(row, merge_row(row.stops, row.views)))
-        table = np.array([list(vars(quality).values()) for quality in qualities])
-        heads = ("precision", "recall", "count error", "by position: precision", "recall")
+        walks = [simulate_row(settings, seed) for seed in range(rows)]
+        table = np.array([merged_quality(row, merge_row(row.stops, row.views)) for row in walks])
         print(f"\n{name}")
-        for k, head in enumerate((*heads, "count error")):
+        for k, head in enumerate(("precision", "recall", "count error")):
             print(f"  {head:24}{interval(table[:, k])}")
-        errors = table[:, 2]
-        print(
-            f"  count: sd {errors.std():.4f}, within 1 % {np.mean(np.abs(errors) <= 0.01):.2f}; "
-            f"stops known to {100 * table[:, 6].mean():.1f} cm"
-        )
-    for name, (days, settings, swing_m) in DAYS.items():
-        table = np.array([linked(days, settings, swing_m, seed) for seed in range(rows)])
+    for name, (days, settings, swing_m, growth_m) in DAYS.items():
+        table = np.array([linked(days, settings, swing_m, growth_m, seed) for seed in range(rows)])
         print(f"\nlinks, {name}")
-        of_links = ("precision", "recall", "sure: precision", "sure: recall", "mean p - precision")
-        for k, head in enumerate(of_links):
+        for k, head in enumerate(("precision", "recall", "mean p - precision")):
             print(f"  {head:24}{interval(table[:, k])}")
 
 

@@ -250,6 +250,7 @@ def grow_plants(
     picked_over_m: float = 0.30,
     new_share: float = 0.15,
     swing_m: float = 0.03,
+    growth_m: float = 0.03,
 ) -> Plants:
     """Simulate a row that grows, is picked, lowered and hung anew.
 
@@ -269,8 +270,10 @@ def grow_plants(
         New fruit, as a share of those that were there.
     swing_m : float
         How far a fruit hangs off its plant's shift, standard deviation.
+    growth_m : float
+        Metres a day.
     """
-    rate = rng.normal(0.03, 0.006, len(plants.name)).clip(0.005)
+    rate = rng.normal(growth_m, 0.2 * growth_m, len(plants.name)).clip(0.0)
     stay = (plants.length_m < picked_over_m) | (rng.random(len(rate)) < 0.1)
     length = plants.length_m + rate * days
     place = plants.place_m + shift_m + rng.normal(0.0, swing_m, plants.place_m.shape)

@@ -40,7 +40,7 @@ from cucumbervision_greenhouse.rounds.fruit_table import (
     read_round,
     round_doubts,
 )
-from cucumbervision_greenhouse.rounds.merge_and_link import DAY_S, earlier_rounds
+from cucumbervision_greenhouse.rounds.merge_and_link import DAY_S
 from cucumbervision_greenhouse.store.records import (
     CaptureRecord,
     FruitRow,
@@ -207,17 +207,12 @@ def class_counts(fruit: Iterable[FruitRow], profile: CropProfile) -> Counter[str
 @_cached()
 def comparison_of(earlier: Round, later: Round) -> DayComparison:
     """Return what changed between two rounds of a house; computed again only after a change."""
-    between = [
-        x
-        for x in earlier_rounds(store(), later.key)
-        if earlier.walked_s < x.walked_s < later.walked_s
-    ]
-    contents = [view_of(x).content for x in (earlier, *between[::-1], later)]
+    contents = [view_of(x).content for x in (earlier, later)]
     return compare_rounds(
         fruit_table(contents[0]),
-        fruit_table(contents[-1]),
-        same_fruit(store(), contents),
-        (contents[0].stops, contents[-1].stops),
+        fruit_table(contents[1]),
+        same_fruit(store(), *contents),
+        (contents[0].stops, contents[1].stops),
         (later.walked_s - earlier.walked_s) / DAY_S,
     )
 
@@ -225,9 +220,10 @@ def comparison_of(earlier: Round, later: Round) -> DayComparison:
 @_cached()
 def fruit_days_of(round_summary: Round, fruit_key: str) -> list[FruitRow]:
     """Return a fruit of a round, or of one before it, on every day, the earliest first."""
-    is_here = fruit_key in view_of(round_summary).content.group_of
-    home = round_summary.key if is_here else store().detection(fruit_key).view.round_key
-    return fruit_days(store(), home, fruit_key)
+    content = view_of(round_summary).content
+    if fruit_key not in content.group_of:
+        content = read_round(store(), store().detection(fruit_key).view.round_key)
+    return fruit_days(store(), content, fruit_key)
 
 
 @_cached(ttl=3600, hash_funcs=_OF_TODAY)

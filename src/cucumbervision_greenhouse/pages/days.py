@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from datetime import date, datetime
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import streamlit as st
@@ -13,7 +14,7 @@ from cucumbervision_greenhouse.language import counted, marked, plain
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.pages import page_elements
 from cucumbervision_greenhouse.pages.round_choice import label_options
-from cucumbervision_greenhouse.rounds.day_comparison import Change
+from cucumbervision_greenhouse.rounds.day_comparison import Change, offered_pairs
 from cucumbervision_greenhouse.rounds.merge_and_link import earlier_rounds
 
 if TYPE_CHECKING:
@@ -60,6 +61,7 @@ def page(walk: RoundView) -> None:
         _fruit_days(round_summary, fruit_key)
         return
     _metrics(comparison.counts(), before, round_summary)
+    _offer(comparison, before, round_summary)
     _rows(comparison)
     _classes(comparison, before, round_summary)
     _each_fruit(comparison)
@@ -96,8 +98,8 @@ def _metrics(counts: ChangeCounts, before: Round, after: Round) -> None:
     if counts.gone and counts.new and not counts.stayed:
         st.warning(
             _(
-                "No fruit of one day could be told to be one of the other: 'not seen again' and "
-                "'new' may be the same fruit. 'Row map' tells which are the same."
+                "No fruit of one day is surely one of the other: 'not seen again' and 'new' may be "
+                "the same fruit."
             ),
             icon=":material/link_off:",
         )
@@ -113,16 +115,6 @@ def _metrics(counts: ChangeCounts, before: Round, after: Round) -> None:
             "{n} fruit were ticked off as picked and seen again all the same.",
         )
         words = f"{returned} {words}"
-    if counts.unsure:
-        unsure = counted(
-            counts.unsure,
-            "{n} of the {all} fruit seen on both days may be two: places and sizes fit, but not "
-            "for sure.",
-            "{n} of the {all} fruit seen on both days may be two: places and sizes fit, but not "
-            "for sure.",
-            all=counts.stayed,
-        )
-        words = f"{unsure} {words}"
     if counts.not_walked:
         apart = counted(
             counts.not_walked,
@@ -131,6 +123,30 @@ def _metrics(counts: ChangeCounts, before: Round, after: Round) -> None:
         )
         words = f"{apart} {words}"
     st.caption(words)
+
+
+def _offer(comparison: DayComparison, before: Round, after: Round) -> None:
+    """Ask whether a fruit that was not seen again is a new one, with both pictures."""
+    store, contents = resources.store(), [round_view.view_of(x).content for x in (before, after)]
+    pairs = offered_pairs(store, comparison, contents)
+    page_elements.draw_undo(after.key)
+    if not pairs:
+        return
+    words = counted(
+        len(pairs),
+        "**The same fruit?** {n} pair may be one fruit. Growth is learnt from sure ones.",
+        "**The same fruit?** {n} pairs may be one fruit. Growth is learnt from sure ones.",
+    )
+    st.markdown(words)
+    units = resources.settings().units
+    page_elements.pictures(pairs[0], lambda view: "  \n".join(_day_lines(view, units)))
+    keys = [view.key for view in pairs[0]]
+    for column, label, same in zip(
+        st.columns(2), (_("The same fruit"), _("Two fruit")), (True, False), strict=True
+    ):
+        act = partial(store.decide_growth, *keys, same=same)
+        icon = "link" if same else "link_off"
+        page_elements.button(column, label, icon, page_elements.do, act, key=f"{icon}_{keys[0]}")
 
 
 def _rows(comparison: DayComparison) -> None:

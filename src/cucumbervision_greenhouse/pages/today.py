@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from cucumbervision_greenhouse.forecast.forecast import Forecast
     from cucumbervision_greenhouse.forecast.picking import Pick
     from cucumbervision_greenhouse.round_view import RoundView
-    from cucumbervision_greenhouse.rounds.forecasting import RowPicks, Today
+    from cucumbervision_greenhouse.rounds.forecasting import Today
     from cucumbervision_greenhouse.store.records import Round
 
 
@@ -160,11 +160,9 @@ def _picks(walk: RoundView, today: Today) -> None:
     @st.fragment
     def _draw() -> None:
         picked = _picked(walk)
-        rows = {row.row: row for row in today.rows}
-        ready = {name: row_picks.of(PickKind.READY) for name, row_picks in rows.items()}
-        done = {
-            name: sum(_is_picked(p, picked) for p in row_picks) for name, row_picks in ready.items()
-        }
+        rows = today.rows
+        ready = {row: [p for p in rows[row] if p.kind is PickKind.READY] for row in rows}
+        done = {row: sum(_is_picked(p, picked) for p in ready[row]) for row in rows}
         counts = {
             row: f"{plain(row or _('no row'))}: {done[row]}/{len(ready[row])}" for row in rows
         }
@@ -180,22 +178,22 @@ def _picks(walk: RoundView, today: Today) -> None:
             key="pick_row",
             required=True,
         )
-        row = rows[name or next(iter(rows))]
-        page_elements.name_in_address("row", row.row)
+        row = next(iter(rows)) if name is None else name
+        page_elements.name_in_address("row", row)
         total = _("{done} of {all} in all rows").format(
             done=sum(done.values()), all=sum(map(len, ready.values()))
         )
         says = (total, _("look at them"), _("take them off"))
         for kind, words in zip(PickKind, says, strict=True):
-            picks = row.of(kind)
+            picks = [pick for pick in rows[row] if pick.kind is kind]
             if not picks:
                 continue
             if explanation := _SAID.get(kind):
                 st.markdown(_(explanation))
             lines = _lines(walk, picks, picked)
-            key = f"picks_{kind}_{walk.key}_{row.row}"
+            key = f"picks_{kind}_{walk.key}_{row}"
             page_elements.fruit_list(key, _("Fruit to pick"), lines, words, partial(_keep, key))
-        _all_picked(row, picked)
+        _all_picked(row, [p.fruit.fruit_id for p in ready[row] if not _is_picked(p, picked)])
         _work(today, picked)
 
     _draw()
@@ -242,17 +240,14 @@ def _keep(key: str) -> None:
             st.session_state.pop("picked_all", None)
 
 
-def _all_picked(row: RowPicks, picked: set[str]) -> None:
-    ready = row.of(PickKind.READY)
-    unpicked = [p.fruit.fruit_id for p in ready if not _is_picked(p, picked)]
-
+def _all_picked(row: str, unpicked: list[str]) -> None:
     @st.dialog(_("All picked?"))
     def _ask() -> None:
         words = counted(
             len(unpicked),
             "{n} fruit of row {row} will be marked as picked.",
             "{n} fruit of row {row} will be marked as picked.",
-            row=plain(row.row),
+            row=plain(row),
         )
         st.write(words)
         yes, no = st.columns(2)
@@ -269,7 +264,7 @@ def _all_picked(row: RowPicks, picked: set[str]) -> None:
     with st.container(key="noprint"):
         mark, undo = st.columns(2)
         if mark.button(
-            _("All of row {row} are picked").format(row=plain(row.row)),
+            _("All of row {row} are picked").format(row=plain(row)),
             icon=":material/done_all:",
             width="stretch",
             disabled=not unpicked,

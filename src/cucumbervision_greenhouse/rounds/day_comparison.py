@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING
 
 from cucumbervision.methods.result import LengthDefinition
 from cucumbervision_greenhouse.forecast.forecast import natural_key
-from cucumbervision_greenhouse.rounds.day_linking import SURE
+from cucumbervision_greenhouse.rounds.fruit_table import read_round
 from cucumbervision_greenhouse.store.records import LinkKind
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
     from cucumbervision_greenhouse.rounds.fruit_table import RoundContent
-    from cucumbervision_greenhouse.store.records import FruitRow, LinkRecord, StopRecord
+    from cucumbervision_greenhouse.store.records import FruitRow, StopRecord
     from cucumbervision_greenhouse.store.repository import Store
 
 _REACH_M = 0.5  # along the row: a camera shows the fruit this far from its stop
@@ -45,15 +45,12 @@ class FruitChange:
         The fruit in the earlier and in the later round; None where that round does not have it.
     days : float
         Time between the two rounds, days.
-    probability : float
-        That both are one fruit; 1 where only one round has it.
     """
 
     change: Change
     before: FruitRow | None
     after: FruitRow | None
     days: float
-    probability: float = 1.0
 
     @property
     def row(self) -> str:
@@ -97,8 +94,6 @@ class ChangeCounts:
         Fruit on the plant at the earlier and at the later round.
     picked, gone, stayed, new : int
         As `Change` names them.
-    unsure : int
-        Fruit among `stayed` that may be two: a link less sure than `day_linking.SURE`.
     returned : int
         Fruit among `stayed` that were ticked off as picked.
     not_walked : int
@@ -113,7 +108,6 @@ class ChangeCounts:
     stayed: int
     new: int
     after: int
-    unsure: int
     returned: int
     not_walked: int
     growth_m_per_day: float | None
@@ -162,7 +156,6 @@ def _counts(changes: Sequence[FruitChange]) -> ChangeCounts:
         stayed=stayed,
         new=number[Change.NEW],
         after=stayed + number[Change.NEW],
-        unsure=sum(fruit.probability < SURE for fruit in changes),
         returned=sum(fruit.is_back for fruit in changes),
         not_walked=number[Change.NOT_WALKED],
         growth_m_per_day=median(known_growths) if known_growths else None,
@@ -172,7 +165,7 @@ def _counts(changes: Sequence[FruitChange]) -> ChangeCounts:
 def compare_rounds(
     earlier: Sequence[FruitRow],
     later: Sequence[FruitRow],
-    same: Mapping[str, tuple[str, float]],
+    same: Mapping[str, str],
     stops: tuple[Sequence[StopRecord], Sequence[StopRecord]],
     days: float,
 ) -> DayComparison:
@@ -182,8 +175,8 @@ def compare_rounds(
     ----------
     earlier, later : sequence of FruitRow
         Their fruit (`fruit_table`); doubtful ones are left out.
-    same : mapping of str to (str, float)
-        Fruit of the earlier round by those of the later one, with probabilities (`same_fruit`).
+    same : mapping of str to str
+        Fruit of the earlier round by those of the later one (`same_fruit`).
     stops : pair of sequences of StopRecord
         The stops of both, which say where each of them went.
     days : float
@@ -194,10 +187,9 @@ def compare_rounds(
     walked_before, walked_after = (_walked_spans(stops_of_round) for stops_of_round in stops)
     changes = []
     for key, view in after.items():
-        first_key, probability = same.get(key, ("", 1.0))
-        first = before.pop(first_key, None)
+        first = before.pop(same.get(key, ""), None)
         if first is not None:
-            changes.append(FruitChange(Change.STAYED, first, view, days, probability))
+            changes.append(FruitChange(Change.STAYED, first, view, days))
         else:
             change = Change.NEW if _is_walked(view, walked_before) else Change.NOT_WALKED
             changes.append(FruitChange(change, None, view, days))
@@ -244,75 +236,59 @@ def _is_walked(view: FruitRow, spans: _Spans) -> bool:
     return bool(span[0] - _REACH_M <= view.along_m <= span[1] + _REACH_M)
 
 
-def same_fruit(store: Store, contents: Sequence[RoundContent]) -> dict[str, tuple[str, float]]:
-    """Return which fruit of the last round is which of the first, by the links between rounds.
+def linked_rounds(store: Store, content: RoundContent) -> tuple[list[RoundContent], dict[str, str]]:
+    """Return a round with those that its sure links lead to, and their fruit's keys in it by group.
 
-    All links count, unlike for growth: each is likelier than not, and a fruit without one would be
-    counted as gone and as new.
+    A fruit that several rounds show is followed from each to the next.
+    """
+    contents, name_of = [content], {view.group: view.group for view in content.views}
+    for current in contents:
+        links = [link for link in store.links(current.key, LinkKind.GROWTH) if link.sure]
+        for link in sorted(links, key=lambda link: not link.by_hand):
+            for end, far_end in ((link.first, link.second), (link.second, link.first)):
+                name = name_of.get(current.group_of.get(end, ""))
+                if name is None:
+                    continue
+                home = next((x for x in contents if far_end in x.group_of), None)
+                if home is None:
+                    home = read_round(store, store.detection(far_end).view.round_key)
+                    contents.append(home)
+                name_of.setdefault(home.group_of[far_end], name)
+    return contents, name_of
+
+
+def same_fruit(store: Store, earlier: RoundContent, later: RoundContent) -> dict[str, str]:
+    """Return the fruit of an earlier round by those of a later one (`linked_rounds`)."""
+    _, name_of = linked_rounds(store, later)
+    return {name_of[view.group]: view.group for view in earlier.views if view.group in name_of}
+
+
+def offered_pairs(
+    store: Store, comparison: DayComparison, contents: Sequence[RoundContent]
+) -> list[tuple[FruitRow, FruitRow]]:
+    """Return fruit not seen again and new ones that may be the same, the likeliest first.
 
     Parameters
     ----------
     store : Store
         Where the rounds are.
+    comparison : DayComparison
+        Of two rounds.
     contents : sequence of RoundContent
-        Two or more rounds of a house, the earliest first: a fruit that the days between show, too,
-        is followed through them.
-
-    Returns
-    -------
-    dict
-        Keys of the first round's fruit by those of the last one's, and the probability of each.
+        These two, the earlier one first.
     """
     group_of = {view.key: view.group for content in contents for view in content.views}
-    # A fruit has one name in all rounds: its key in the last of them.
-    names = {view.group: (view.group, 1.0) for view in contents[-1].views}
-    for content in reversed(contents[1:]):
-        for link in sorted(store.links(content.key, LinkKind.GROWTH), key=_probability)[::-1]:
-            named = names.get(group_of.get(link.second, ""))
-            if named is not None and link.first in group_of:
-                name, probability = named
-                names.setdefault(group_of[link.first], (name, probability * _probability(link)))
-    first = {view.group for view in contents[0].views}
-    return {
-        name: (group, probability) for group, (name, probability) in names.items() if group in first
-    }
+    gone = {x.before.key: x.before for x in comparison.of(Change.GONE) if x.before}
+    new = {x.after.key: x.after for x in comparison.of(Change.NEW) if x.after}
+    links = [x for x in store.links(contents[-1].key, LinkKind.GROWTH) if not x.sure]
+    links.sort(key=lambda link: -(link.score or 0.0))
+    ends = [(group_of.get(link.first, ""), group_of.get(link.second, "")) for link in links]
+    return [(gone[first], new[last]) for first, last in ends if first in gone and last in new]
 
 
-def _probability(link: LinkRecord) -> float:
-    """Return how likely a link is right; one made by hand is."""
-    return 1.0 if link.by_hand else link.score or 0.0
-
-
-def fruit_days(store: Store, round_key: str, key: str) -> list[FruitRow]:
-    """Return a fruit on every day on which it was seen, the earliest first.
-
-    Parameters
-    ----------
-    store : Store
-        Where it is.
-    round_key, key : str
-        A round that has it, and any of its views there.
-    """
-    fruit_of_day = {round_key: _fruit_of(store, round_key, {key})}
-    queue = [round_key]
-    for current in queue:
-        view, keys = fruit_of_day[current]
-        if view is None:
-            continue
-        for link in store.links(current, LinkKind.GROWTH):
-            for end, far_end in ((link.first, link.second), (link.second, link.first)):
-                if end in keys:
-                    day = store.detection(far_end).view.round_key
-                    if day not in fruit_of_day:
-                        fruit_of_day[day] = _fruit_of(store, day, {far_end})
-                        queue.append(day)
-    views = [view for view, _ in fruit_of_day.values() if view is not None]
-    return sorted(views, key=lambda view: view.taken_s)
-
-
-def _fruit_of(store: Store, round_key: str, keys: set[str]) -> tuple[FruitRow | None, set[str]]:
-    """Return a fruit of a round by any of its views, and the keys of all of them."""
-    views = store.detections(round_key)
-    groups = {view.group for view in views if view.key in keys}
-    members = [view for view in views if view.group in groups]
-    return next((view for view in members if view.best), None), {view.key for view in members}
+def fruit_days(store: Store, content: RoundContent, key: str) -> list[FruitRow]:
+    """Return a fruit by any of its views on every day on which it was seen, the earliest first."""
+    contents, name_of = linked_rounds(store, content)
+    fruit = [view for x in contents for view in x.views if view.best]
+    same = [view for view in fruit if name_of.get(view.group) == content.group_of[key]]
+    return sorted(same, key=lambda view: view.taken_s)

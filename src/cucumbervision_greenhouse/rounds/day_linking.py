@@ -16,7 +16,7 @@ from cucumbervision.methods.matching import ALONG, UP, log_density
 from cucumbervision_greenhouse.rounds.row_views import pairs_within
 
 if TYPE_CHECKING:
-    from cucumbervision_greenhouse.rounds.row_views import Bools, Floats, Ints, RowFruit
+    from cucumbervision_greenhouse.rounds.row_views import Floats, Ints, RowFruit
 
 _STAY_SHARE = 0.75  # share of fruit that are still there and seen
 # How far a fruit hangs off its plant's shift: along, up, into the row.
@@ -24,7 +24,6 @@ _SWING_M = 0.04, 0.04, 0.05
 _MOST_ALONG_M, _MOST_UP_M = 1.2, 0.8  # farthest shift that is looked for
 _STRETCH_M = 3.0  # length of row whose plants are taken to be moved alike
 _CHANGE_M = 0.05  # how far neighbouring stretches usually differ
-SURE = 0.85  # probability from which a pair is linked; below, people are asked
 _STUDENT_FREEDOM = 4.0
 _PASSES = 6
 _BELIEF_STEPS = 40
@@ -42,15 +41,12 @@ class DayLinks:
         Fruit of the earlier and of the later round, one to one, likelier than not.
     probability : ndarray of float64, shape (K,)
         How likely each is right.
-    sure : ndarray of bool, shape (K,)
-        Which of them reach the threshold, and so count for growth.
     shift_m, shift_sd_m : ndarray of float64, shape (S, 3)
         How far each stretch was moved, metres.
     """
 
     pairs: Ints
     probability: Floats
-    sure: Bools
     shift_m: Floats
     shift_sd_m: Floats
 
@@ -120,13 +116,7 @@ def link_days(
     chance = _chances(i, j, ratio, len(a), len(b))[pairs]
     likely = chance > 0.5
     linked = np.column_stack([i[pairs], j[pairs]])[likely]
-    return DayLinks(
-        pairs=linked,
-        probability=chance[likely],
-        sure=chance[likely] >= SURE,
-        shift_m=field,
-        shift_sd_m=spread,
-    )
+    return DayLinks(pairs=linked, probability=chance[likely], shift_m=field, shift_sd_m=spread)
 
 
 def _swing(gap: Floats, noise: Floats) -> Floats:

@@ -7,6 +7,7 @@ import math
 from collections import defaultdict
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from itertools import groupby
 from typing import TYPE_CHECKING
 
 from cucumbervision.crop.grades import UNDECIDED, WITHOUT_CLASS, Grade, GradeStatus, class_of, grade
@@ -15,11 +16,10 @@ from cucumbervision.methods.intervals import SCALE_SD
 from cucumbervision.methods.result import UNKNOWN_SD
 from cucumbervision_greenhouse.forecast.forecast import forecast
 from cucumbervision_greenhouse.forecast.growth import FruitState, GrowthPrior, fit_growth
-from cucumbervision_greenhouse.forecast.picking import Pick, PickKind, pick_list
-from cucumbervision_greenhouse.rounds.day_linking import SURE
+from cucumbervision_greenhouse.forecast.picking import pick_list
+from cucumbervision_greenhouse.rounds.day_comparison import linked_rounds
 from cucumbervision_greenhouse.rounds.fruit_table import fruit_table, read_round
 from cucumbervision_greenhouse.rounds.merge_and_link import DAY_S
-from cucumbervision_greenhouse.store.records import LinkKind
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from cucumbervision.methods.result import Length
     from cucumbervision_greenhouse.forecast.forecast import Forecast
     from cucumbervision_greenhouse.forecast.growth import Point
+    from cucumbervision_greenhouse.forecast.picking import Pick
     from cucumbervision_greenhouse.rounds.fruit_table import RoundContent
     from cucumbervision_greenhouse.store.records import ArtifactRecord, FruitRow, Round
     from cucumbervision_greenhouse.store.repository import Store
@@ -158,21 +159,8 @@ def _median_and_sd(length: Length) -> tuple[float, float]:
 
 
 def earlier_lengths(store: Store, content: RoundContent) -> dict[str, list[Point]]:
-    """Return the lengths of a round's fruit on earlier days, of all their views, in order.
-
-    Only links count that are sure enough (`day_linking.SURE`), and all that were made by hand.
-    """
-    contents, name_of = [content], {view.group: view.group for view in content.views}
-    for later in contents:
-        for link in store.links(later.key, LinkKind.GROWTH):
-            name = name_of.get(later.group_of.get(link.second, ""))
-            if name is None or not (link.by_hand or (link.score or 0.0) >= SURE):
-                continue
-            home = next((x for x in contents if link.first in x.group_of), None)
-            if home is None:
-                home = read_round(store, store.detection(link.first).view.round_key)
-                contents.append(home)
-            name_of.setdefault(home.group_of[link.first], name)
+    """Return the lengths of a round's fruit on earlier days, of all their views, in order."""
+    contents, name_of = linked_rounds(store, content)
     days = {walk.key: walk.walked_s / DAY_S for walk in store.rounds()}
     points: dict[str, list[Point]] = defaultdict(list)
     before = [x for x in contents if days[x.key] < days[content.key]]
@@ -195,26 +183,6 @@ class Age(StrEnum):
     USELESS = "useless"  # its fruit are picked by now, or far too long
 
 
-@dataclass(frozen=True)
-class RowPicks:
-    """The fruit to be picked in one row, in walking order.
-
-    Parameters
-    ----------
-    row : str
-        The row.
-    picks : tuple of Pick
-        All of them.
-    """
-
-    row: str
-    picks: tuple[Pick, ...]
-
-    def of(self, kind: PickKind) -> tuple[Pick, ...]:
-        """Return those of a kind."""
-        return tuple(pick for pick in self.picks if pick.kind is kind)
-
-
 @dataclass(frozen=True, eq=False)
 class Today:
     """A round today.
@@ -227,14 +195,14 @@ class Today:
         What it is worth by that.
     forecast : Forecast, optional
         Of today alone, with the fruit that were picked today; None where the round is too old.
-    rows : tuple of RowPicks
-        What is to be picked, in the order of the walk; fruit picked today are still in it.
+    rows : mapping of str to list of Pick
+        What is to be picked by row, in the order of the walk; fruit picked today are still in it.
     """
 
     age_days: int
     age: Age
     forecast: Forecast | None
-    rows: tuple[RowPicks, ...]
+    rows: Mapping[str, Sequence[Pick]]
 
 
 def midnight_s(now_s: float) -> float:
@@ -337,13 +305,7 @@ def read_today(
     """
     days, age = age_of(round_summary.walked_s, now_s)
     if age is Age.USELESS:
-        return Today(days, age, None, ())
+        return Today(days, age, None, {})
     result = forecast_today(store, round_summary, profile, now_s, content, days=0)
-    return Today(days, age, result, _by_row(pick_list(result)))
-
-
-def _by_row(picks: Sequence[Pick]) -> tuple[RowPicks, ...]:
-    rows = defaultdict(list)
-    for pick in picks:
-        rows[pick.fruit.row].append(pick)
-    return tuple(RowPicks(row, tuple(of_row)) for row, of_row in rows.items())
+    by_row = groupby(pick_list(result), key=lambda pick: pick.fruit.row)
+    return Today(days, age, result, {row: list(picks) for row, picks in by_row})

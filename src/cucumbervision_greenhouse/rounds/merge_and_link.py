@@ -26,7 +26,7 @@ from cucumbervision_greenhouse.rounds.poses import sign_of_side
 from cucumbervision_greenhouse.rounds.row_views import row_fruit
 from cucumbervision_greenhouse.rounds.walking import is_demonstration, refuse_taken
 from cucumbervision_greenhouse.store.marks import MOVE_ROUND, STOP_EDITS
-from cucumbervision_greenhouse.store.records import LinkKind, LinkRecord
+from cucumbervision_greenhouse.store.records import SURE, LinkKind, LinkRecord
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -86,7 +86,7 @@ class RowLinks:
     earlier, later : int
         Fruit of both rounds.
     links, sure : int
-        Pairs likelier than not, and those sure enough to count for growth.
+        Pairs likelier than not, and those that are sure; the others are offered to be confirmed.
     shift_m, shift_sd_m : float
         How far the row was moved along, metres; the median of its stretches.
     """
@@ -218,7 +218,12 @@ def link_rounds(
             links.append(LinkRecord(LinkKind.GROWTH, *keys, chance))
         shift = float(np.median(linked.shift_m[:, ALONG]))
         sd = float(np.median(linked.shift_sd_m[:, ALONG]))
-        sizes = len(fruit[0]), len(fruit[1]), len(linked.pairs), int(linked.sure.sum())
+        sizes = (
+            len(fruit[0]),
+            len(fruit[1]),
+            len(linked.pairs),
+            int((linked.probability >= SURE).sum()),
+        )
         row_links.append(RowLinks(row.name, *sizes, shift, sd))
     store.save_growth(earlier, later, links)
     # As they were linked before the captures of that day were added.

@@ -44,7 +44,7 @@ _LINK_KINDS = {
     "link-growth": LinkKind.GROWTH,
     "unlink-growth": LinkKind.APART,
 }
-"""Marks of links by hand, which the dashboard of 0.1.0 made; they still hold."""
+"""Marks of links by hand; those within a round were made by the dashboard of 0.1.0."""
 _PLACE = ("row", "side", "position_m", "step", "note", "mirrored")
 
 
@@ -88,6 +88,14 @@ class Marks(Database):
             return write_mark(
                 connection, kind, fruit[-1].round_id, [line.key for line in fruit], details
             )
+
+    def decide_growth(self, first: str, last: str, *, same: bool) -> int:
+        """Record whether a fruit of one day is that of a later one."""
+        with self.writing() as connection:
+            fruit = find_fruit(connection, [first, last])
+            kind = "link-growth" if same else "unlink-growth"
+            details = {"rounds": [x.round_id for x in fruit], "ends": [[first, last]]}
+            return write_mark(connection, kind, fruit[-1].round_id, [first, last], details)
 
     def place_stop(self, stop: StopRecord, seen: StopRecord | None = None) -> int:
         """Set where a stop was taken, and its name; its fitted position is discarded.

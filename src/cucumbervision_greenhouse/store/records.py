@@ -391,6 +391,10 @@ class StopRecord:
         return level and (not (self.camera and stop.camera) or self.camera == stop.camera)
 
 
+SURE = 0.85
+"""Probability from which a pair of two days is linked; below, people are asked."""
+
+
 class LinkKind(StrEnum):
     """How two detections are related."""
 
@@ -408,6 +412,11 @@ class LinkRecord:
     second: str
     score: float | None = None
     by_hand: bool = False
+
+    @property
+    def sure(self) -> bool:
+        """Whether it counts; other pairs of two days are offered to be confirmed."""
+        return self.by_hand or (self.score or 0.0) >= SURE
 
 
 @dataclass(frozen=True)

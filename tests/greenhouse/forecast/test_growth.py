@@ -89,11 +89,6 @@ def test_difference_between_fruit_is_learnt(true_m: float) -> None:
     assert np.mean(fitted) == pytest.approx(math.hypot(true_m, spreads.row), rel=0.12)
 
 
-def test_exact_lengths_of_equal_fruit_keep_some_difference_between_them() -> None:
-    links = [twice(str(k), "1", 0, 0.2, 1e-6, 2, 0.26, 1e-6) for k in range(500)]
-    assert 0.001 < fit_growth(links, PRIOR).curves[0].fruit_sd_m < 0.002
-
-
 def test_fast_fruit_without_a_link_do_not_make_the_house_slow() -> None:
     # Whoever grew faster than 5 cm a day was shorter than 5 cm four days ago, and has no link.
     rng = np.random.default_rng(2)

@@ -86,31 +86,6 @@ def test_measured_shrinking_is_no_shrinking() -> None:
     assert 0.1 < grown_m < (usual_m[7] - usual_m[0]).mean() - 0.01
 
 
-def test_same_day_measured_twice_is_their_weighted_mean() -> None:
-    fruit = FruitState("a", "1", 0.0, 0.20, 0.004, 2.0)
-    twice = replace(fruit, earlier=((0, 0.14, 0.012), (0, 0.15, 0.010)))
-    daily = 2 * (0.003**2 + 0.003**2)
-    weights = 1 / (np.array([0.012, 0.010]) ** 2 + daily)
-    pooled_m, pooled_sd = float(np.average([0.14, 0.15], weights=weights)), weights.sum() ** -0.5
-    once = replace(fruit, earlier=((0, pooled_m, float((pooled_sd**2 - daily) ** 0.5)),))
-    both, pooled = (
-        fruit_lines([x], known(0.03), known(0.03).curves[0], 0.0) for x in (twice, once)
-    )
-    np.testing.assert_allclose(both.growth_m, pooled.growth_m)
-    np.testing.assert_allclose(both.covariance, pooled.covariance)
-
-
-def test_days_without_a_round_widen_today() -> None:
-    fruit = [FruitState("a", "1", 0.0, 0.15, 0.004)]
-    sds = [float(lengths_today(fruit, fit_growth([], PRIOR), day, 0.0)[1][0]) for day in range(5)]
-    assert sds[0] == pytest.approx(0.004)
-    assert np.diff(sds).min() > 0.005
-    # The house, its row, the fruit, and four days.
-    of_growth = 0.008**2 + 0.002**2 + 0.005**2
-    expected = 0.004**2 + 4**2 * of_growth + 4 * (0.003**2 + 0.003**2)
-    assert sds[4] == pytest.approx(expected**0.5)
-
-
 def test_today_does_not_depend_on_the_days_ahead() -> None:
     fruit = [FruitState("a", "1", 0.0, 0.15, 0.004)]
     growth = fit_growth([], PRIOR)

@@ -56,23 +56,6 @@ def test_what_is_ready_is_the_sum_of_the_probabilities_on_each_day() -> None:
         assert later.fruit <= later.sure + later.may_be + 0.05 * len(FRUIT)
 
 
-@pytest.mark.parametrize("today", [0.0, 1.0])
-def test_fruit_of_other_rows_change_nothing_for_a_fruit(today: float) -> None:
-    """The forecast draws lengths: with other fruit beside them, other ones."""
-    uncertain = [FruitState(str(k), "2", 0.1 * k, 0.20 + 0.004 * k, 0.006) for k in range(25)]
-
-    def listed(fruit: list[FruitState]) -> dict[str, tuple[str, ...]]:
-        growth = fit_growth([], GrowthPrior.of(LONG))
-        picks = pick_list(forecast(fruit, growth, LONG, today=today))
-        return {p.fruit.fruit_id: p.possible for p in picks if p.fruit.row == "2"}
-
-    alone = listed(uncertain)
-    assert len(set(alone.values())) > 1
-    for count in (1, 7, 30):
-        more = [FruitState(f"m{k}", "1", 0.1 * k, 0.26, 0.01) for k in range(count)]
-        assert listed([*more, *uncertain]) == alone
-
-
 def test_what_a_grade_decided_stands_on_its_day_and_grows_afterwards() -> None:
     state = FruitState("a", "1", 0.0, 0.24, 0.02, possible=("II",))
     bound = replace(state, fruit_id="b", possible=("II", "I", "too long"), at_least=True)

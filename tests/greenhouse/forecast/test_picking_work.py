@@ -32,12 +32,3 @@ def test_each_class_has_crates_of_its_own() -> None:
     found = forecast(fruit_of("1", 30, 0.28) + fruit_of("2", 20, 0.22), STEADY, profile)
     crates = plan_work(found, Rates(fruit_per_crate=12))[0].crates
     assert (crates["I"].expected, crates["II"].expected) == (3, 2)
-
-
-def test_interval_is_the_counts_interval() -> None:
-    fruit = [FruitState(str(k), "1", 0.1 * k, 0.24, 0.005) for k in range(200)]
-    found = forecast(fruit, fit_growth([], GrowthPrior.of(LONG)), LONG)
-    tomorrow = plan_work(found, Rates(fruit_per_hour=100, minutes_per_row=0))[1]
-    assert tomorrow.fruit.low == found.picks.low[1, 0]
-    assert tomorrow.hours.high == pytest.approx(found.picks.high[1, 0] / 100)
-    assert tomorrow.fruit.low < tomorrow.fruit.expected < tomorrow.fruit.high

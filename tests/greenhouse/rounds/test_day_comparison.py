@@ -11,6 +11,7 @@ from cucumbervision_greenhouse.rounds.day_comparison import (
     DayComparison,
     compare_rounds,
     fruit_days,
+    offered_pairs,
     same_fruit,
 )
 from cucumbervision_greenhouse.rounds.fruit_table import fruit_table, read_round
@@ -96,7 +97,7 @@ def compare(store: Store, *rounds: str) -> DayComparison:
     return compare_rounds(
         fruit_table(first),
         fruit_table(last),
-        same_fruit(store, contents),
+        same_fruit(store, first, last),
         (first.stops, last.stops),
         (walked[last.key] - walked[first.key]) / DAY_S,
     )
@@ -212,7 +213,7 @@ def test_fruit_marked_as_no_fruit_are_left_out(store: Store) -> None:
     assert (counts.before, counts.after) == (0, 1)
 
 
-def test_a_link_likelier_than_not_counts_and_is_called_unsure(store: Store) -> None:
+def test_a_link_that_is_not_sure_is_offered_and_counts_once_it_is_confirmed(store: Store) -> None:
     first = save_stop(store, MONDAY, 1.0, {0.0: Length(0.10), 0.3: Length(0.10)})
     last = save_stop(store, TUESDAY, 1.0, {0.0: Length(0.13), 0.3: Length(0.12)})
     scores = (0.6, 0.9)
@@ -221,8 +222,17 @@ def test_a_link_likelier_than_not_counts_and_is_called_unsure(store: Store) -> N
         for before, after, score in zip(first, last, scores, strict=True)
     ]
     store.save_growth(MONDAY, TUESDAY, links)
-    counts = compare(store, MONDAY, TUESDAY).counts()
-    assert (counts.stayed, counts.unsure, counts.new, counts.gone) == (2, 1, 0, 0)
+    comparison = compare(store, MONDAY, TUESDAY)
+    counts = comparison.counts()
+    assert (counts.stayed, counts.new, counts.gone) == (1, 1, 1)
+    contents = [read_round(store, key) for key in (MONDAY, TUESDAY)]
+    [(before, after)] = offered_pairs(store, comparison, contents)
+    assert (before.key, after.key) == (first[0], last[0])
+    mark = store.decide_growth(before.key, after.key, same=True)
+    assert compare(store, MONDAY, TUESDAY).counts().stayed == 2
+    store.undo(number=mark)
+    store.decide_growth(before.key, after.key, same=False)
+    assert offered_pairs(store, compare(store, MONDAY, TUESDAY), contents) == []
 
 
 def test_a_fruit_is_followed_through_the_days_between(store: Store) -> None:
@@ -234,11 +244,12 @@ def test_a_fruit_is_followed_through_the_days_between(store: Store) -> None:
     [fruit] = compare(store, MONDAY, TUESDAY, WEDNESDAY).changes
     assert fruit.growth_m_per_day == pytest.approx(0.03, abs=1e-6)
     days: list[list[FruitRow]] = [
-        fruit_days(store, round_key, key)
+        fruit_days(store, read_round(store, round_key), key)
         for round_key, key in ((MONDAY, monday), (TUESDAY, tuesday), (WEDNESDAY, wednesday))
     ]
     keys = [[view.key for view in views] for views in days]
     assert keys == [[monday, tuesday, wednesday]] * 3
     store.save_growth(MONDAY, TUESDAY, [])
-    assert [view.key for view in fruit_days(store, WEDNESDAY, wednesday)] == [tuesday, wednesday]
+    content = read_round(store, WEDNESDAY)
+    assert [view.key for view in fruit_days(store, content, wednesday)] == [tuesday, wednesday]
     assert change_of(compare(store, MONDAY, TUESDAY, WEDNESDAY), monday) is Change.GONE

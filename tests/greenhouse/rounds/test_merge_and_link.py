@@ -12,7 +12,7 @@ from cucumbervision.errors import RoundError
 from cucumbervision.methods.result import Length, LengthDefinition
 from cucumbervision_greenhouse.forecast.forecast import Forecast
 from cucumbervision_greenhouse.forecast.picking import pick_list, ready_on
-from cucumbervision_greenhouse.rounds import forecasting
+from cucumbervision_greenhouse.rounds import day_comparison
 from cucumbervision_greenhouse.rounds.forecasting import (
     earlier_lengths,
     forecast_today,
@@ -159,7 +159,7 @@ def test_growth_is_followed_through_three_rounds_and_no_other_is_read(
         days_read.append(key)
         return read_round(opened, key)
 
-    monkeypatch.setattr(forecasting, "read_round", reading)
+    monkeypatch.setattr(day_comparison, "read_round", reading)
     for hour in range(1, 4):
         store.save_round(Round(key_of("early", hour), "early", "", hour * 3600.0))
     keys = []

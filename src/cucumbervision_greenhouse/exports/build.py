@@ -257,8 +257,8 @@ def _forecast_lines(forecast: Forecast, today_s: float) -> Iterator[Line]:
 
 def _pick_lines(forecast: Forecast, table: Sequence[FruitRow]) -> Iterator[Line]:
     lines, today_m = {line.key: line for line in table}, lengths_today(forecast)
-    left = (pick for pick in pick_list(forecast) if not pick.fruit.picked)
-    for order, pick in enumerate(left, 1):
+    hanging = (pick for pick in pick_list(forecast) if not pick.fruit.picked)
+    for order, pick in enumerate(hanging, 1):
         line = lines[pick.fruit.fruit_id]
         yield {
             **{"order": order, "number": line.number, "pick": pick, "view": line},

@@ -167,12 +167,12 @@ def _grown(earlier: RowFruit, later: RowFruit, i: Ints, j: Ints) -> tuple[Floats
 
 def _growth(grown_m: Floats, error_m: Floats, prior: tuple[float, float]) -> tuple[float, float]:
     """Return the growth of the row's fruit and its spread: the prior's and the links' own."""
-    known = np.isfinite(grown_m)
-    count, (mean_m, sd_m) = int(known.sum()), prior
+    measured = np.isfinite(grown_m)
+    count, (mean_m, sd_m) = int(measured.sum()), prior
     if count:
-        middle = float(np.median(grown_m[known]))
-        wide = (_WIDE * sd_m) ** 2 / (sd_m**2 + float(np.median(error_m[known])) ** 2)
-        mean_m += count * wide / (1 + count * wide) * (middle - mean_m)
+        middle = float(np.median(grown_m[measured]))
+        weight = (_WIDE * sd_m) ** 2 / (sd_m**2 + float(np.median(error_m[measured])) ** 2)
+        mean_m += count * weight / (1 + count * weight) * (middle - mean_m)
     return mean_m, sd_m * float(np.hypot(1, _WIDE / (1 + count)))
 
 

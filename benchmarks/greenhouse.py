@@ -126,7 +126,7 @@ def moved(
     centre = place(2 * [lens.cx_px, lens.cy_px])[:2]
     # A pixel's width and height move as those of a box do.
     left, top, right, bottom = place([0, 0, lens.fx_px, lens.fy_px])
-    camera = Intrinsics(*color.shape[1::-1], right - left, bottom - top, *centre)
+    camera = Intrinsics(color.shape[1], color.shape[0], right - left, bottom - top, *centre)
     moved_marks = {**marks, "fruit": fruit, "ignored": [place(box) for box in marks["ignored"]]}
     return replace(capture, color=color, depth_m=depth_m, intrinsics=camera), moved_marks
 

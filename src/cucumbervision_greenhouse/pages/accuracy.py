@@ -265,7 +265,8 @@ def measured_round(store: Store, round_key: str) -> Measured:
     content = read_round(store, round_key)
     fruit = [view for view in content.views if view.verdict is not Verdict.REJECTED]
     table = {line.key: line for line in fruit_table(content)}
-    stops = [content.stop_of[key] for key in dict.fromkeys(view.stop_key for view in fruit)]
+    keys = {view.stop_key for view in fruit}
+    stops = [stop for stop in content.stops if stop.key in keys]
     captures = [_capture_lines(stop, capture) for stop in stops for capture in stop.captures]
     report: dict[str, Any] = {"captures": captures, "models": []}
     for artifact in stops[-1].artifacts if stops else ():
@@ -277,10 +278,11 @@ def measured_round(store: Store, round_key: str) -> Measured:
             report["config_sha256"] = artifact.sha256
         elif artifact.kind == "software":
             report["software"] = artifact.name
-    names = tuple(capture["name"] for capture in captures)
     asked = [n for n in AVAILABLE if n in report.get("config", {}).get("methods", [])]
     readings = tuple(_reading(view, table.get(view.key, view), asked) for view in fruit)
-    return Measured(Path(f"round {round_key}"), readings, names, report)
+    return Measured(
+        Path(f"round {round_key}"), readings, tuple(x["name"] for x in captures), report
+    )
 
 
 def _capture_lines(stop: StopRecord, capture: CaptureRecord) -> dict[str, Any]:

@@ -265,8 +265,7 @@ def measured_round(store: Store, round_key: str) -> Measured:
     content = read_round(store, round_key)
     fruit = [view for view in content.views if view.verdict is not Verdict.REJECTED]
     table = {line.key: line for line in fruit_table(content)}
-    keys = {view.stop_key for view in fruit}
-    stops = [stop for stop in content.stops if stop.key in keys]
+    stops = [x for x in content.stops if any(view.stop_key == x.key for view in fruit)]
     captures = [_capture_lines(stop, capture) for stop in stops for capture in stop.captures]
     report: dict[str, Any] = {"captures": captures, "models": []}
     for artifact in stops[-1].artifacts if stops else ():
@@ -280,9 +279,8 @@ def measured_round(store: Store, round_key: str) -> Measured:
             report["software"] = artifact.name
     asked = [n for n in AVAILABLE if n in report.get("config", {}).get("methods", [])]
     readings = tuple(_reading(view, table.get(view.key, view), asked) for view in fruit)
-    return Measured(
-        Path(f"round {round_key}"), readings, tuple(x["name"] for x in captures), report
-    )
+    names = tuple(capture["name"] for capture in captures)
+    return Measured(Path(f"round {round_key}"), readings, names, report)
 
 
 def _capture_lines(stop: StopRecord, capture: CaptureRecord) -> dict[str, Any]:

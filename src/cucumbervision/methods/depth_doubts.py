@@ -52,8 +52,9 @@ _GAP_BEHIND, _NOTCH_BEHIND, _GAP_SHARE, _GAP_RADII, _GAP_READINGS = 1.2, 2.0, 0.
 # to 2.5 above a table); the roughness of planes (0.3 for printed paper, at least 0.4 for leaves).
 _PLANE_RING_RADII, _LEAST_HEIGHT_RADII, _ROUGHNESS_RADII, _PLANE_STEPS = (0.15, 1.2), 0.5, 0.3, 4
 # Readings in the outline that lie so many radii behind the surface around them, and their share in
-# three quarters of the sections, where outlines are 3 px too wide; distance from the plane around.
-_BEHIND_RADII, _IN_PLANE_RADII, _BESIDE_SHARE, _PARTS = 4.0, 0.3, 0.1, 12
+# three quarters of the sections, where outlines are 3 px too wide: that of a rim of 2 px, within
+# limits; distance from the plane around.
+_BEHIND_RADII, _IN_PLANE_RADII, _BESIDE_PX, _BESIDE_SHARES, _PARTS = 4.0, 0.3, 2.1, (0.07, 0.25), 12
 _ONE_VALUE_SHARE = 0.6  # real skin has one value on at most 0.23 of its pixels
 # Width of a stem and of the shoulder half a radius behind it, relative to the fruit's; a tip tapers
 # slowly. Least length of a stem with such a shoulder, and of one without, in radii.
@@ -111,15 +112,14 @@ def depth_doubts(
     if np.count_nonzero(mask) < 2:
         return ()
     body = _Body(depth_m, mask, focal_px)
-    readings = body.readings_m
-    is_sparse = readings.size < LEAST_FILL * np.count_nonzero(body.mask)
-    if readings.size < MIN_READINGS:
+    is_sparse = body.readings_m.size < LEAST_FILL * np.count_nonzero(body.mask)
+    if body.readings_m.size < MIN_READINGS:
         return (Flag.DEPTH_SPARSE,) if is_sparse else ()
     is_too_near = body.distance_m < _NEAREST_M
     is_elsewhere = (
         _lies_in_plane(body) or _lies_behind(body) or _fits_better_elsewhere(depth_m, body)
     )
-    is_coarse = has_coarse_steps(depth_m, readings, may_be_one=not is_sparse)
+    is_coarse = has_coarse_steps(depth_m, body.readings_m, may_be_one=not is_sparse)
     is_coarse |= not is_elsewhere and _has_one_depth(body)
     doubts = {
         Flag.DEPTH_TOO_NEAR: is_too_near,
@@ -178,7 +178,8 @@ class _Body:
             int(beside[:, part].sum()) / max(int(read[:, part].sum()), 1)
             for part in self.sections(_PARTS)
         ]
-        return float(np.quantile(shares, 0.25)) >= _BESIDE_SHARE
+        least = np.clip(_BESIDE_PX / (self.radius_px * self.scale), *_BESIDE_SHARES)
+        return bool(np.quantile(shares, 0.25) >= least)
 
     def near_line(self, depth_m: Depth, read: Mask) -> tuple[float, float] | None:
         """Return the depth of what is nearest along the fruit: at column 0, and its slope.

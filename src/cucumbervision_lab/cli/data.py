@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cucumbervision_lab.cli import show, ticking
+from cucumbervision_lab.cli.screen import show, ticking
 
 if TYPE_CHECKING:
     from cucumbervision_lab.data.labels import DataSet

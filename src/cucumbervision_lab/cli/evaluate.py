@@ -9,7 +9,7 @@ import typer
 
 from cucumbervision.cli.choices import InputSize, Runtime
 from cucumbervision.networks.confidence import DEFAULT_CONFIDENCE
-from cucumbervision_lab.cli import part_bars, show, show_tables, ticking
+from cucumbervision_lab.cli.screen import part_bars, show, show_tables, ticking
 
 Seg = Annotated[
     Path | None, typer.Option(help="YOLO segmentation .onnx; default: the packaged network.")

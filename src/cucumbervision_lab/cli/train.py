@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cucumbervision.cli.choices import InputSize
-from cucumbervision_lab.cli import part_bars, show
+from cucumbervision_lab.cli.screen import part_bars, show
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -6,11 +6,10 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from importlib.util import find_spec
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import dijkstra
 
@@ -26,6 +25,9 @@ from cucumbervision.methods.selector import choose, measure_fruit
 from cucumbervision.methods.table import AVAILABLE, masked_points
 from cucumbervision_lab.arrays import Array, Array32, Generator, Mask
 from cucumbervision_lab.evaluate.cases import Case, Simulated, simulate
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Find = Callable[[Capture], Sequence[Instance]]
 

@@ -26,13 +26,12 @@ from cucumbervision_lab.data.coco import (
 )
 from cucumbervision_lab.data.labels import Label, LabelledPicture, ticked
 from cucumbervision_lab.processes import each_done
-from cucumbervision_lab.scenes.appearance import Style, random_style
 from cucumbervision_lab.scenes.colors import expose, palette, random_exposure
 from cucumbervision_lab.scenes.compose import HARD, PLAIN, Composition, Setting, compose
 from cucumbervision_lab.scenes.depth_camera import VGA, D4xx, sense
 from cucumbervision_lab.scenes.paste import cutouts_of, fruitless, montage
 from cucumbervision_lab.scenes.scene import FruitTruth, render, truth_of
-from cucumbervision_lab.scenes.shading import shade
+from cucumbervision_lab.scenes.shading import Style, random_style, shade
 from cucumbervision_lab.scenes.skin import Skin
 from cucumbervision_lab.scenes.textures import Assets, load_assets
 

@@ -14,10 +14,10 @@ from cucumbervision_lab.scenes.colors import sample, smooth_noise, smoothstep, t
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from cucumbervision.capture.intrinsics import Intrinsics
     from cucumbervision_lab.scenes.textures import Assets
 
-    Vector = tuple[float, float, float]
-    from cucumbervision.capture.intrinsics import Intrinsics
+Vector = tuple[float, float, float]
 
 _SKY_SHAPE = (32, 64)
 

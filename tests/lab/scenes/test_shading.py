@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 
 from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision_lab.scenes.appearance import Style, random_style
 from cucumbervision_lab.scenes.bodies import arc_tube
 from cucumbervision_lab.scenes.lighting import Light
 from cucumbervision_lab.scenes.placing import place_hanging, string, trellis
 from cucumbervision_lab.scenes.raycast import Leaf, Plane, Stem
 from cucumbervision_lab.scenes.scene import Kind, Scene, View, render
-from cucumbervision_lab.scenes.shading import shade
+from cucumbervision_lab.scenes.shading import Style, random_style, shade
 from cucumbervision_lab.scenes.skin import Skin
 from cucumbervision_lab.scenes.textures import Assets
 

@@ -8,9 +8,9 @@ import pytest
 
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.errors import CaptureError
-from cucumbervision_lab.scenes.appearance import FAR, random_style
 from cucumbervision_lab.scenes.bodies import arc_tube
 from cucumbervision_lab.scenes.placing import place_hanging, trellis
+from cucumbervision_lab.scenes.shading import FAR, random_style
 from cucumbervision_lab.scenes.textures import Assets, load_assets
 
 RED = np.zeros((60, 80, 3), np.uint8)

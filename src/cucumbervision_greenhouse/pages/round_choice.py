@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import streamlit as st
 
@@ -21,13 +21,8 @@ from cucumbervision_greenhouse.language import (
 )
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.rounds.merge_and_link import delete_round, move_rounds
-from cucumbervision_greenhouse.store.records import Round
+from cucumbervision_greenhouse.store.records import Round, new_key
 from cucumbervision_greenhouse.words import round_name
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection
-
-    from cucumbervision_greenhouse.store.records import Round
 
 
 def label_options(key: str, names: Mapping[Option, str]) -> Callable[[Option], str]:
@@ -134,11 +129,11 @@ def _begin(rounds: Collection[Round]) -> None:
         format_func=titles.__getitem__,
     )
 
-    def begin() -> None:
+    def begin(key: str) -> None:
         # Read the fields' current values: the page may not have been redrawn since they changed.
         name, house = (str(st.session_state.get(key, "")) for key in ("new_name", "new_house"))
         house = house.strip() or _("House 1")  # what an empty field shows
-        record = Round(name=name.strip() or _("Morning round"), house=house, profile=crop)
+        record = Round(key, name.strip() or _("Morning round"), house, profile=crop)
         try:
             resources.store().save_round(record)
         except CucumberVisionError as error:
@@ -150,7 +145,9 @@ def _begin(rounds: Collection[Round]) -> None:
         st.session_state["round"] = record.key
         _close(_BEGINNING)
 
-    st.button(_("Start this round"), type="primary", width="stretch", on_click=begin)
+    # Pressed twice before the page is drawn again, it begins the same round.
+    button: dict[str, Any] = {"key": f"begin_{_popover_key(_BEGINNING)}", "args": (new_key(),)}
+    st.button(_("Start this round"), type="primary", width="stretch", on_click=begin, **button)
     if fault := st.session_state.pop("begin_fault", None):
         st.warning(sentence(fault), icon=":material/error:")
 

@@ -239,8 +239,9 @@ def _is_walked(view: FruitRow, spans: _Spans) -> bool:
 def linked_rounds(store: Store, content: RoundContent) -> tuple[list[RoundContent], dict[str, str]]:
     """Return a round with those that its sure links lead to, and their fruit's keys in it by group.
 
-    A fruit that several rounds show is followed from each to the next.
+    A fruit that several rounds show is followed from each to the next; deleted rounds are left out.
     """
+    known = {walk.key for walk in store.rounds()}
     contents, name_of = [content], {view.group: view.group for view in content.views}
     for current in contents:
         links = [link for link in store.links(current.key, LinkKind.GROWTH) if link.sure]
@@ -250,10 +251,10 @@ def linked_rounds(store: Store, content: RoundContent) -> tuple[list[RoundConten
                 if name is None:
                     continue
                 home = next((x for x in contents if far_end in x.group_of), None)
-                if home is None:
-                    home = read_round(store, store.detection(far_end).view.round_key)
-                    contents.append(home)
-                name_of.setdefault(home.group_of[far_end], name)
+                if home is None and (key := store.detection(far_end).view.round_key) in known:
+                    contents.append(home := read_round(store, key))
+                if home is not None:
+                    name_of.setdefault(home.group_of[far_end], name)
     return contents, name_of
 
 

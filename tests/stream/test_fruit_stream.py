@@ -180,11 +180,11 @@ def test_a_length_that_contradicts_is_another_fruits(walk: list[Capture]) -> Non
 
 
 def test_a_length_of_which_nothing_is_known_changes_no_tracks(walk: list[Capture]) -> None:
-    """Too near, a camera reads a tenth of a fruit's pixels, and these too far to one side."""
+    """Too near, a camera reads an eighth of a fruit's pixels, and these too far to one side."""
     stream = by_masks()
     before = stream.take(walk[0]).fruit[0]
     mask = walk[1].masks[0]
-    read = np.random.default_rng(3).random(mask.shape) < 0.1
+    read = np.random.default_rng(3).random(mask.shape) < 0.12
     depth_m = np.where(mask, np.where(read, 1.2 * walk[1].depth_m, 0.0), walk[1].depth_m)
     near = stream.take(replace(walk[1], depth_m=depth_m.astype(np.float32))).fruit[0]
     assert near.fruit.length is not None

@@ -23,8 +23,9 @@ def test_a_pair_that_may_be_one_fruit_is_offered_until_it_is_confirmed(house: Pa
             store.save_stop(
                 replace(stop, key=new_key(), round_key=later.key, taken_s=later.started_s)
             )
-        ends = [store.detections(key)[0].key for key in (WALK, later.key)]
-        store.save_growth(WALK, later.key, [LinkRecord(LinkKind.GROWTH, *ends, 0.7)])
+        first, second = (store.detections(key)[0].key for key in (WALK, later.key))
+        link = LinkRecord(LinkKind.GROWTH, first, second, 0.7)
+        store.save_growth(WALK, later.key, [link])
     test = app("days", round=later.key)
     new = int({x.label: x.value for x in test.metric}["New"])
     assert "1 pair may be one fruit" in said(test)

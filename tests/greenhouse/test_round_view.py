@@ -187,8 +187,7 @@ def test_what_is_ready_is_one_number_on_all_pages_and_in_all_files(
     summary, work_line = files.summary, files["work"].rows[0]
     of_fruit = [x for x in files["fruit"].rows if x["picked_utc"] is None and x["ready_today"]]
     assert sum(float(str(x["ready_today"])) for x in of_fruit) == expected
-    ready_cells = [summary["ready_today"], work_line["fruit"], work_line["ready"]]
-    assert ready_cells == [expected] * 3
+    assert [summary["ready_today"], work_line["fruit"], work_line["ready"]] == [expected] * 3
     for line in (summary, work_line):
         assert (line["surely_ready"], line["may_be_ready"]) == (ready.sure, ready.may_be)
     for scope in ("house", "row"):

@@ -81,8 +81,7 @@ def compress(runs: list[int]) -> str:
 
 def test_coco_keypoints(tmp_path: Path) -> None:
     points = [v for i in range(5) for v in (i + 1, 2, i % 3)]
-    annotation = {"bbox": [0, 0, 9, 9], "keypoints": points}
-    (fruit,) = get(coco(tmp_path / "c.json", annotation)).instances
+    (fruit,) = get(coco(tmp_path / "c.json", {"bbox": [0, 0, 9, 9], "keypoints": points})).instances
     assert fruit.keypoints is not None
     assert fruit.keypoints[1].tolist() == [1.5, 1.5, 0.5]
     assert fruit.keypoints[:, 2].tolist() == [0, 0.5, 1, 0, 0.5]
@@ -311,9 +310,11 @@ def test_names_of_a_mac_are_those_of_others(tmp_path: Path) -> None:
         assert len(get(path, name).instances) == 1
 
 
+FORMS = [(count, visibility) for count in (2, 3, 5, 8) for visibility in ("", " 2")]
+
+
 @pytest.mark.parametrize("confidence", ["", " 0.9"])
-@pytest.mark.parametrize("count", [2, 3, 5, 8])
-@pytest.mark.parametrize("visibility", ["", " 2"])
+@pytest.mark.parametrize(("count", "visibility"), [*FORMS, (5, " 0.97")])  # of a prediction
 def test_yolo_keypoints_of_any_form_are_no_outline(
     tmp_path: Path, visibility: str, count: int, confidence: str
 ) -> None:
@@ -324,7 +325,8 @@ def test_yolo_keypoints_of_any_form_are_no_outline(
     (fruit,) = get(folder).instances
     assert fruit.mask is None
     assert fruit.box.tolist() == pytest.approx([7.5, 2.5, 11.5, 6.5])
-    assert (fruit.keypoints is not None) == (count == 5)
+    seen = None if fruit.keypoints is None else fruit.keypoints[0, 2]
+    assert seen == ({" 0.97": 0.97}.get(visibility, 1.0) if count == 5 else None)
     assert fruit.confidence == (0.9 if confidence else 1.0)
 
 

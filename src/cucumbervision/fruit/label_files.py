@@ -353,10 +353,8 @@ def read_instances(path: Path | str) -> InstanceFile:
     return InstanceFile(str(path), tuple(read_labels(path)))
 
 
-_SAME_FRUIT, _INSIDE = (
-    0.85,
-    0.8,
-)  # intersection over union of boxes; share of a mask in a larger one
+# Intersection over union of boxes; share of a mask in a larger one.
+_SAME_FRUIT, _INSIDE = 0.85, 0.8
 
 
 def _label_of_same(number: int, entries: Sequence[tuple[str, Instance, bool]]) -> str | None:
@@ -572,7 +570,8 @@ def parse_yolo_line(
         shares = np.concatenate([shares[:4], points[:, :2].ravel()])
         seen = points[:, 2] if per_point == 3 else np.full(len(points), 2.0)
         if len(points) == _KEYPOINTS:
-            keypoints = _keypoints(np.column_stack([points[:, :2], seen]).ravel(), 2.0)
+            visible = 1.0 if (seen % 1).any() else 2.0  # predictions have confidences
+            keypoints = _keypoints(np.column_stack([points[:, :2], seen]).ravel(), visible)
     if (shares < -_SLACK).any() or (shares > 1 + _SLACK).any():
         raise ValueError("has numbers outside 0 to 1, which must be shares of width and height")
     box: Array | None = None
@@ -601,8 +600,8 @@ def _numbers_a_point(shares: Array) -> int:
         if len(numbers) >= 6 and len(numbers) % 3 == 0:
             points = numbers.reshape(-1, 3)
             seen = points[points[:, 2] > 0, :2]
-            is_seen = np.isin(points[:, 2], (0, 1, 2)).all()
-            if is_seen and (len(points) == _KEYPOINTS or _spans(box, seen)):
+            is_five, is_stated = len(points) == _KEYPOINTS, np.isin(points[:, 2], (0, 1, 2)).all()
+            if (is_five and is_stated) or ((is_five or is_stated) and _spans(box, seen)):
                 return 3
         if len(numbers) >= 4 and len(numbers) % 2 == 0 and _spans(box, numbers.reshape(-1, 2)):
             return 2

@@ -518,7 +518,7 @@ def growth_words(growth: Growth, units: Units) -> str:
     days (2 to 4 cm a day: the CucumberVision paper, ...).'
     >>> fruit = [FruitState("a", "1", 0, 0.28, 0.003, 2, earlier=((0, 0.2, 0.003),))]
     >>> growth_words(fit_growth(fruit, prior), Units("in"))
-    'Expected growth: 1.42 in a day (1.15 to 1.69), by 1 fruit seen on several days and the crop
+    'Expected growth: 1.41 in a day (1.15 to 1.67), by 1 fruit seen on several days and the crop
     profile.'
     """
     low, mean, high = (

@@ -18,7 +18,7 @@ from cucumbervision_greenhouse.store.repository import Store
 
 def test_news_tell_of_a_change_in_the_round(asked: TestClient, store: Store) -> None:
     first = asked.get(f"/api/news?round={WALK}").json()
-    assert first["work"] == {"words": "", "done": 0, "total": 0, "waiting": 0}
+    assert first["work"] == {"words": "", "done": 0, "total": 0, "first": "", "waiting": 0}
     assert asked.get(f"/api/news?round={WALK}").json()["version"] == first["version"]
     store.pick([store.detections(WALK)[0].key])
     assert asked.get(f"/api/news?round={WALK}").json()["version"] != first["version"]

@@ -342,7 +342,7 @@ def create_app(
     Examples
     --------
     >>> sorted(create_app().openapi()["paths"])
-    ['/detect', '/health', '/measure', '/metrics']
+    ['/', '/detect', '/health', '/measure', '/metrics']
     """
     work, metrics = Work(measurer or Measurer(), settings or ServiceSettings()), _Metrics()
     # No documentation pages: those of FastAPI load scripts from another server. Environment

@@ -95,9 +95,7 @@ def _days(prediction: Forecast) -> None:
         ready = ready_on(prediction, day)
         line: dict[str, object] = {
             _("Day"): texts.forecast_day(prediction, day),
-            _("Ready"): texts.count_words(ready.fruit),
-            _("Sure"): ready.sure,
-            _("May be ready"): ready.may_be,
+            _("Ready"): f"{texts.count_words(ready.fruit)} ({ready.sure} + {ready.may_be})",
         }
         for k in texts.expected_classes(prediction):
             count = Span(house.expected[day, k], house.low[day, k], house.high[day, k])
@@ -109,8 +107,9 @@ def _days(prediction: Forecast) -> None:
     page_elements.table(lines)
     st.caption(
         _(
-            "Ready is the expected number: the sum of what is likely of each fruit. 'Or more': "
-            "fruit too small to be detected today are not counted."
+            "Ready is the expected number: the sum of what is likely of each fruit; in brackets, "
+            "those surely ready + those that may be. 'Or more': fruit too small to be detected "
+            "today are not counted."
         )
     )
     with st.expander(_("Details"), icon=":material/list:"):

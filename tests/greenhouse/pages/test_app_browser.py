@@ -113,7 +113,7 @@ def test_a_page_that_was_drawn_anew_for_long_is_as_it_was_and_obeys(dashboard: D
                 picked.filter(has_text=re.compile(f"^{number}$")).wait_for()
             dashboard.quiet()
             nodes.append(page.evaluate("document.querySelectorAll('*').length"))
-    assert max(nodes[1:]) == nodes[0]
+    assert max(nodes[1:]) <= nodes[0]
     page.locator(".fruit button").first.click()
     page.locator("svg.view").wait_for()
 

@@ -51,7 +51,7 @@ def test_todays_page_in_dutch(house: Path) -> None:
     resources.change_settings(language="nl")
     test = app("today", round=WALK)
     labels = [metric.label for metric in test.metric]
-    assert labels[:2] == ["Vandaag oogstbaar", "klasse I"]
+    assert labels[:3] == ["Vandaag oogstbaar", "Zeker", "Misschien oogstbaar"]
     assert [heading.value for heading in test.header] == ["Oogstlijst"]
     lists = [x for x in test.get("bidi_component") if "fruitlist" in x.proto.component_name]
     says = [fruit["says"] for drawn in lists for fruit in json.loads(drawn.proto.json)["fruit"]]

@@ -58,7 +58,7 @@ def test_days_that_are_not_linked_are_no_change(house: Path) -> None:
         first, last = (
             [view.key for view in store.detections(key) if view.best] for key in (WALK, later.key)
         )
-    words = "No fruit of one day could be told to be one of the other"
+    words = "No fruit of one day is surely one of the other"
     assert words in said(app("days", round=later.key))
     with open_store(house) as store:
         growth = LinkRecord(LinkKind.GROWTH, first[0], last[0], 1.0)

@@ -36,7 +36,7 @@ from cucumbervision_greenhouse.rounds.walking import (
     round_for_capture,
 )
 from cucumbervision_greenhouse.settings import replace_text
-from cucumbervision_greenhouse.store.records import key_of
+from cucumbervision_greenhouse.store.records import LONGEST_ROW_M, key_of
 
 if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
@@ -48,7 +48,6 @@ if TYPE_CHECKING:
 MOST_FILES = 1000
 _ABOUT = "upload.json"
 _KEPT = 20  # number of uploads whose outcomes are kept
-_LONGEST_ROW_M = 1000.0
 _RESERVE_BYTES = 500_000_000  # disk space that is left for new captures
 
 # Focal length divided by the picture's shorter side, which is the sensor's height, also where the
@@ -60,7 +59,7 @@ def _checked(place: NextPlace) -> NextPlace:
     """Refuse a place that no stop can have, before files are sent."""
     Stop(place.row or None, place.side, place.position_m)
     lengths = place.position_m, place.step_m
-    if not all(0 <= length <= _LONGEST_ROW_M for length in lengths):  # NaN is refused, too
+    if not all(0 <= length <= LONGEST_ROW_M for length in lengths):  # NaN is refused, too
         raise ValueError(place)
     return place
 

@@ -49,7 +49,7 @@ from cucumbervision_greenhouse.language import (
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.rounds.walking import DEMONSTRATION, next_place, sides_of
 from cucumbervision_greenhouse.store.marks import TAKE_BACK
-from cucumbervision_greenhouse.store.records import Round, Verdict
+from cucumbervision_greenhouse.store.records import LONGEST_ROW_M, Round, Verdict
 from cucumbervision_greenhouse.theme import style_sheet
 from cucumbervision_greenhouse.words import (
     action_words,
@@ -80,7 +80,6 @@ _STATIC = Path(__file__).with_name("static")
 _MEDIA_TYPES = {"html": "text/html", "js": "text/javascript"}  # of files with texts
 _UNDO_S = 60.0  # longest wait for a stop that is being measured
 _PRESS_S = 4.0  # longest delay of the answer until presses are saved
-_LONGEST_ROW_M = 1000.0
 _MOST_TOGETHER = 50  # presses in one request
 
 Source = Literal["camera", "replay"]
@@ -290,7 +289,7 @@ def _pressed(sent: SentPress, open_rounds: set[str]) -> Pressed | str | None:
         stop = Stop(sent.row.strip() or None, sent.side or None, sent.position_m)
     except NameRefusedError as error:
         return words_of(error)
-    if sent.position_m > _LONGEST_ROW_M:
+    if sent.position_m > LONGEST_ROW_M:
         return _("no row is as long as this position: correct it and press again")
     if sent.round not in open_rounds:
         return _("the round was deleted")

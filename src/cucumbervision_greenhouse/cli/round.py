@@ -91,7 +91,8 @@ def add(
     row: Annotated[str | None, typer.Option(help="Row of the house.")] = None,
     side: Annotated[str | None, typer.Option(help="Side of the row, such as left.")] = None,
     position: Annotated[
-        float | None, typer.Option(help="Position of the first capture along the row, metres.")
+        float | None,
+        typer.Option(max=1000.0, help="Position of the first capture along the row, metres."),
     ] = None,
     spacing: Annotated[
         float,

@@ -391,6 +391,8 @@ class StopRecord:
         return level and (not (self.camera and stop.camera) or self.camera == stop.camera)
 
 
+LONGEST_ROW_M = 1000.0
+
 SURE = 0.85
 """Probability from which a pair of two days is linked; below, people are asked."""
 

@@ -105,7 +105,6 @@ def _cached(**options: Any) -> Callable[[_Reader], _Reader]:
     return keep
 
 
-_OF_TODAY = {Round: _unpicked_version}
 _OF_FRUIT = {FruitRow: lambda view: (view.key, view.corrected, view.box_x1_px)}
 _OF_PICTURE: dict[type, Callable[[Any], Any]] = {
     StopRecord: lambda stop: (stop.key, stop.row, stop.side, stop.position_m, stop.step),
@@ -226,7 +225,7 @@ def fruit_days_of(round_summary: Round, fruit_key: str) -> list[FruitRow]:
     return fruit_days(store(), content, fruit_key)
 
 
-@_cached(ttl=3600, hash_funcs=_OF_TODAY)
+@_cached(ttl=3600, hash_funcs={Round: _unpicked_version})
 def today_of(round_summary: Round) -> Today:
     """Return a round's figures of today, including the fruit that were picked today."""
     walk = view_of(round_summary)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import cache
 from statistics import median
 from typing import TYPE_CHECKING
 
@@ -241,7 +242,7 @@ def linked_rounds(store: Store, content: RoundContent) -> tuple[list[RoundConten
 
     A fruit that several rounds show is followed from each to the next; deleted rounds are left out.
     """
-    known = {walk.key for walk in store.rounds()}
+    walk_of = cache(store.round)  # None for a deleted round
     contents, name_of = [content], {view.group: view.group for view in content.views}
     for current in contents:
         links = [link for link in store.links(current.key, LinkKind.GROWTH) if link.sure]
@@ -251,7 +252,7 @@ def linked_rounds(store: Store, content: RoundContent) -> tuple[list[RoundConten
                 if name is None:
                     continue
                 home = next((x for x in contents if far_end in x.group_of), None)
-                if home is None and (key := store.detection(far_end).view.round_key) in known:
+                if home is None and walk_of(key := store.detection(far_end).view.round_key):
                     contents.append(home := read_round(store, key))
                 if home is not None:
                     name_of.setdefault(home.group_of[far_end], name)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
@@ -12,27 +13,27 @@ import pytest
 
 # The pages import Streamlit as they load, so that without it there is nothing to collect.
 collect_ignore_glob = [] if find_spec("streamlit") else ["src/cucumbervision_greenhouse/pages/*"]
-# Files of which something was skipped here: `.ci/run` runs them again where nothing is missing.
-_SKIPPED_FILES: set[str] = set()
+# Tests and files that were skipped here: `.ci/run` runs them again where nothing is missing.
+_SKIPPED: set[str] = set()
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
-    """Note the file of a skipped test."""
+    """Note a skipped test, without the group that xdist adds to its name."""
     if report.skipped:
-        _SKIPPED_FILES.add(report.nodeid.split("::")[0])
+        _SKIPPED.add(re.sub(r"@\w+$", "", report.nodeid))
 
 
 def pytest_collectreport(report: pytest.CollectReport) -> None:
     """Note a file that is skipped as it loads."""
     if report.skipped:
-        _SKIPPED_FILES.add(report.nodeid)
+        _SKIPPED.add(report.nodeid)
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    """Write the files that were noted, one a line, where the environment says so."""
+    """Write what was noted, one a line, into the file that the environment names."""
     place = os.environ.get("CUCUMBERVISION_SKIPPED")
     if place and not hasattr(session.config, "workerinput"):
-        Path(place).write_text("\n".join(sorted(_SKIPPED_FILES)), encoding="utf-8")
+        Path(place).write_text("\n".join(sorted(_SKIPPED)), encoding="utf-8")
 
 
 @pytest.fixture(autouse=True)

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
+from functools import cache
 from importlib.metadata import PackageNotFoundError, metadata, version
+from pathlib import Path
 
 from cucumbervision._version import __version__
 from cucumbervision.errors import Message
 
 LICENCE = "AGPL-3.0-only"
+_CODE = frozenset({".py", ".c", ".csv", ".json", ".toml"})
+_NO_LENGTH = frozenset({"cli", "service", "stream"})  # rooms that decide none
 _VERSIONS_OF = (
     "numpy",
     "scipy",
@@ -73,3 +78,20 @@ def installed_versions() -> dict[str, str]:
         except PackageNotFoundError:
             continue
     return versions
+
+
+@cache
+def code_sha256() -> str:
+    """Return the hash of the code and the tables of this package that decide a length.
+
+    Examples
+    --------
+    >>> len(code_sha256())
+    64
+    """
+    root, digest = Path(__file__).parent, hashlib.sha256()
+    for path in sorted(root.rglob("*")):
+        name = path.relative_to(root)
+        if path.suffix in _CODE and name.parts[0] not in _NO_LENGTH:
+            digest.update(name.as_posix().encode() + path.read_bytes())
+    return digest.hexdigest()

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal, get_args
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic_core import ValidationError, from_json
 
 from cucumbervision.capture.realsense import CameraSettings
 from cucumbervision.capture.source import ReadOptions
 from cucumbervision.crop.profiles import load_profile
-from cucumbervision.errors import CucumberVisionError, wrap_os_errors
+from cucumbervision.errors import wrap_os_errors
+from cucumbervision.files import replacing
 from cucumbervision.methods.result import LengthDefinition, Selector
 from cucumbervision.networks.confidence import DEFAULT_CONFIDENCE
 from cucumbervision.run.options import MeasureOptions
@@ -24,7 +24,6 @@ STORE_VARIABLE = "CUCUMBERVISION_STORE"
 REPLAY_VARIABLE = "CUCUMBERVISION_REPLAY"
 LOGIN_VARIABLE = "CUCUMBERVISION_LOGIN"
 
-_READABLE = 0o644
 _UNITS = {"cm": 100.0, "in": 1 / 0.0254}
 _UNITS_ALONG = {"cm": ("m", 1.0), "in": ("ft", 1 / 0.3048)}  # of positions along a row
 
@@ -227,7 +226,7 @@ def truth_folder(store: str) -> Path:
 
 
 def read_settings(path: Path) -> Settings:
-    """Return settings from a file; the defaults where there are none, or where they are damaged.
+    """Return settings from a file; defaults for what is missing or has no value of this version.
 
     Examples
     --------
@@ -235,7 +234,12 @@ def read_settings(path: Path) -> Settings:
     'long-cucumber'
     """
     try:
-        return Settings.model_validate_json(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
+        return Settings.model_validate_json(text)
+    except ValidationError as error:
+        invalid = {fault["loc"][0] for fault in error.errors() if fault["loc"]}
+        values = from_json(text) if invalid else {}
+        return Settings(**{name: value for name, value in values.items() if name not in invalid})
     except (OSError, ValueError):
         return Settings()
 
@@ -251,7 +255,7 @@ def write_settings(settings: Settings, path: Path) -> None:
     ...     read_settings(Path(folder) / "a.json").unit
     'in'
     """
-    replace_text(path, settings.model_dump_json(indent=2) + "\n")
+    replace_text(path, settings.model_dump_json(indent=2, exclude_defaults=True) + "\n")
 
 
 def replace_text(path: Path, text: str) -> None:
@@ -262,18 +266,10 @@ def replace_text(path: Path, text: str) -> None:
     CucumberVisionError
         If it cannot be written.
     """
-    remedy = "check the folder and its permissions"
-    with wrap_os_errors("cannot be written", path, remedy, CucumberVisionError):
+    with wrap_os_errors("cannot be written", path, "check the folder and its permissions"):
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=f".{path.name[:40]}.", dir=path.parent)
-        try:
-            with os.fdopen(handle, "w", encoding="utf-8") as file:
-                file.write(text)
-            Path(name).chmod(_READABLE)
-            Path(name).replace(path)
-        except BaseException:
-            Path(name).unlink()
-            raise
+        with replacing(path) as part:
+            part.write_text(text, encoding="utf-8")
 
 
 def default_store() -> str:

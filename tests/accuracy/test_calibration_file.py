@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from demo_captures import CAMERA
 
+from cucumbervision.about import code_sha256
 from cucumbervision.accuracy.calibration_file import (
     CalibratedCamera,
     CorrectionEntry,
@@ -142,7 +143,8 @@ def site(*entries: CorrectionEntry, scale: float | None = None, camera: Any = CA
     )  # fmt: skip
     return SiteCalibration(
         name="house", created="", software="", camera=CalibratedCamera.of(camera, "841"),
-        depth_scale=depth or None, corrections=list(entries),
+        measured_with={"code_sha256": code_sha256()}, depth_scale=depth or None,
+        corrections=list(entries),
     )  # fmt: skip
 
 
@@ -192,6 +194,16 @@ def test_what_it_does_not_cover_stays_and_is_flagged(
     done = calibrated_fruit(before, site(entry()), definition)
     assert done.flags == (Flag.ENDS_UNSURE, flag)
     assert (done.length, done.raw_length, done.calibration) == (before.length, None, None)
+
+
+@pytest.mark.parametrize("measured_with", [None, {}, {"code_sha256": "0" * 64}])
+def test_lengths_of_another_version_correct_nothing(measured_with: dict[str, Any] | None) -> None:
+    other = site(entry()).model_copy(update={"measured_with": measured_with})
+    done = calibrated_fruit(fruit(), other)
+    assert done.flags == (Flag.ENDS_UNSURE, Flag.OTHER_VERSION)
+    assert (done.length, done.raw_length, done.calibration) == (fruit().length, None, None)
+    # A grid gives depth and lens, of which no length is a part.
+    assert not SITE.is_of_other_version
 
 
 def test_beyond_the_calibrated_lengths_there_is_no_interval() -> None:

@@ -109,6 +109,16 @@ def test_a_site_is_calibrated_and_a_new_fruit_comes_out_right(site: Path, tmp_pa
     report = json.loads((tmp_path / "out" / "measurements.json").read_text())
     assert report["calibration"]["tag"] == made.tag
 
+    def of_other_version(report: dict[str, Any]) -> None:
+        report["code_sha256"] = "0" * 64
+
+    older, truth = changed(site / "run", tmp_path, of_other_version), read_truth(site / "truth.csv")
+    assert any("Another version" in note for note in evaluate_lengths(older, truth).notes)
+    write_site_calibration(tmp_path / "house.json", calibrate_lengths(older, truth, "house"))
+    (row,) = measure_inputs([tmp_path / "new"], tmp_path / "out", options).rows
+    assert "calibration-other-version" in str(row["flags"]).split()
+    assert row["length_cm"] == row["m3_cm"]
+
 
 def test_captures_of_few_specimens_are_few_fruit(site: Path, tmp_path: Path) -> None:
     text = (site / "truth.csv").read_text()

@@ -25,7 +25,7 @@ NAMES: dict[str, Iterable[str]] = {
     "agronomy": CropProfile.model_fields,
     "captures": Manifest.model_fields,
     "integration": [field.name for field in (*FRAME_FIELDS, *TRACK_FIELDS)],
-    "own-truth": (Flag.NOT_COVERED, Flag.OTHER_MASK, Flag.OUTSIDE_RANGE),
+    "own-truth": (Flag.NOT_COVERED, Flag.OTHER_MASK, Flag.OTHER_VERSION, Flag.OUTSIDE_RANGE),
 }
 
 

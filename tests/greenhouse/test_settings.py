@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 import threading
 from pathlib import Path
 
@@ -28,10 +29,17 @@ def test_the_options_are_those_of_the_command() -> None:
     assert Settings(confidence=0.4).options.confidence == 0.4
 
 
-def test_a_file_of_an_older_version_is_read(tmp_path: Path) -> None:
+@pytest.mark.parametrize("other", ['"fruit_from": "automatic"', '"burst": 99', '"gone": [1]'])
+def test_a_file_of_another_version_is_read(tmp_path: Path, other: str) -> None:
+    """What this version does not know is its default; profile and calibration stay."""
     path = tmp_path / "a.json"
-    path.write_text('{"fruit_from": "automatic", "unit": "in"}')
-    assert read_settings(path) == Settings(unit="in")
+    path.write_text(f'{{{other}, "unit": "in", "calibration": "c.json"}}')
+    assert read_settings(path) == Settings(unit="in", calibration="c.json")
+
+
+def test_a_default_is_that_of_the_version_that_reads(tmp_path: Path) -> None:
+    write_settings(Settings(unit="in", burst=5), tmp_path / "a.json")
+    assert json.loads((tmp_path / "a.json").read_text()) == {"unit": "in"}
 
 
 def test_an_exposure_that_the_page_cannot_show_is_brought_within_its_limits(tmp_path: Path) -> None:

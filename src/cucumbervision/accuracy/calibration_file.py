@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from pydantic import ConfigDict, Field
 
+from cucumbervision.about import code_sha256
 from cucumbervision.capture.camera_file import CameraModel, StrictModel
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Distortion
@@ -187,6 +188,12 @@ class SiteCalibration(_Frozen):
         return self.depth_scale.value if self.depth_scale else 1.0
 
     @property
+    def is_of_other_version(self) -> bool:
+        """Whether its corrections are of lengths that another version of this package measured."""
+        measured_by = (self.measured_with or {}).get("code_sha256")
+        return bool(self.corrections) and measured_by != code_sha256()
+
+    @property
     def sha256(self) -> str:
         """SHA-256 of the content, hexadecimal."""
         return hashlib.sha256(self.as_text().encode()).hexdigest()
@@ -336,13 +343,16 @@ def calibrated_fruit(
         The fruit with `calibration`, the uncorrected `raw_length`, the corrected `length` and, if
         the calibration has one, its interval. A fruit that may go on out of sight, or whose depth
         cannot be its distance, keeps its interval from simulated fruit, corrected. If the
-        calibration does not apply to the method, mask or length, only a flag is added.
+        calibration was made with another version of this package, or does not apply to the method,
+        mask or length, only a flag is added.
     """
     if site.depth_scale is not None:
         fruit = replace(fruit, calibration=site.tag)
     raw, method = fruit.length, fruit.method
     if raw is None or method is None or not site.corrections:
         return fruit
+    if site.is_of_other_version:
+        return fruit.flagged(Flag.OTHER_VERSION)
     entry = site.entry(calibration_key(method, raw.kind), definition)
     if entry is None:
         return fruit.flagged(Flag.NOT_COVERED)

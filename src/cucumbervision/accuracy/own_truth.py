@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cucumbervision.about import code_sha256
 from cucumbervision.accuracy.statistics import Metrics, ReportTable, estimate, percent_errors, score
 from cucumbervision.accuracy.truth import (
     MISSED,
@@ -119,6 +120,8 @@ def evaluate_lengths(measured: Measured, truth: Truth) -> OwnTruth:
     pairs = match_truth(measured, truth)
     floor = floor_of(truth.lengths)
     notes = _notes(truth, floor, pairs)
+    if measured.report.get("code_sha256") not in (None, code_sha256()):
+        notes.append(Message("Another version of this software measured these lengths."))
     simulated = {c["name"] for c in measured.report.get("captures", []) if c.get("simulated")}
     if any(length.capture in simulated for length, _ in pairs):
         notes.append(Message("Some of these captures are simulated."))

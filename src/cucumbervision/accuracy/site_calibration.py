@@ -176,7 +176,7 @@ def _run_of(measured: Measured) -> dict[str, Any]:
     config, scale, lens = report.get("config", {}), applied.get("depth_scale"), applied.get("lens")
     measured_with = {
         "software": str(report.get("software", "")),
-        "config_sha256": str(report.get("config_sha256", "")),
+        **{key: str(report.get(key, "")) for key in ("config_sha256", "code_sha256")},
         **{key: str(config.get(key, "")) for key in ("selector", "instances")},
         "methods": list(map(str, config.get("methods", []))),
         "segmenter": config.get("segmenter"),

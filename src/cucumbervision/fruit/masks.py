@@ -113,6 +113,33 @@ def mask_pixels(mask: NDArray[np.bool_]) -> NDArray[np.float64]:
     return np.asarray(np.stack([u, v], axis=1) + corner, np.float64)
 
 
+_SPECK = 0.02
+
+
+def without_specks(part: NDArray[np.bool_], share: float = _SPECK) -> NDArray[np.bool_]:
+    """Return a mask without pieces that are smaller than a share of it; the largest stays.
+
+    Examples
+    --------
+    >>> mask = np.zeros((4, 60), bool)
+    >>> mask[:, :40] = mask[2, 50] = True
+    >>> int(mask.sum()), int(without_specks(mask).sum())
+    (161, 160)
+    """
+    import cv2
+
+    outlines = cv2.findContours(part.view(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
+    if len(outlines) < 2:  # in a tenth of the time of labelling
+        return part
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(part.view(np.uint8), connectivity=8)
+    if count <= 2:
+        return part
+    areas = np.asarray(stats)[:, cv2.CC_STAT_AREA]
+    is_piece = areas >= min(share * areas[1:].sum(), areas[1:].max())
+    is_piece[0] = False
+    return np.asarray(is_piece[np.asarray(labels)])
+
+
 def distances_inside(
     mask: NDArray[Any], pixels: NDArray[np.intp] | None = None
 ) -> NDArray[np.float32]:

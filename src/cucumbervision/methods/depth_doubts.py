@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
-from cucumbervision.fruit.masks import distances_inside, mask_pixels, mask_window
+from cucumbervision.fruit.masks import distances_inside, mask_pixels, mask_window, without_specks
 from cucumbervision.methods.flags import Flag
 from cucumbervision.tube.evidence import quick_median
 from cucumbervision.tube.shape import principal_axis
@@ -51,16 +51,16 @@ _GAP_BEHIND, _NOTCH_BEHIND, _GAP_SHARE, _GAP_RADII, _GAP_READINGS = 1.2, 2.0, 0.
 # In radii: the ring that defines the plane; the minimum height of a fruit above it (real ones 1.4
 # to 2.5 above a table); the roughness of planes (0.3 for printed paper, at least 0.4 for leaves).
 _PLANE_RING_RADII, _LEAST_HEIGHT_RADII, _ROUGHNESS_RADII, _PLANE_STEPS = (0.15, 1.2), 0.5, 0.3, 4
-# Readings in the outline that lie so many radii behind the surface around them, and their share in
-# three quarters of the sections, where outlines are 3 px too wide: that of a rim of 2 px, within
-# limits; distance from the plane around.
-_BEHIND_RADII, _IN_PLANE_RADII, _BESIDE_PX, _BESIDE_SHARES, _PARTS = 4.0, 0.3, 2.1, (0.07, 0.25), 12
+# Edge in depth: how far behind what is nearest skin lies at most; how far from the outline it is
+# looked for; spread along a side of a sharp edge, of what lies along the sides in so many parts;
+# distance from the outline, least and relative to the length, at which the interval is wrong.
+_SKIN_RADII, _EDGE_RADII, _EDGE_PX, _PARTS = 1.3, 0.8, 12, 12
+_SHARP_PX, _SHARP_SHARE, _LOOSE_PX, _LOOSE_SHARE = 1.0, 0.1, 1.2, 0.008
 _ONE_VALUE_SHARE = 0.6  # real skin has one value on at most 0.23 of its pixels
 # Width of a stem and of the shoulder half a radius behind it, relative to the fruit's; a tip tapers
 # slowly. Least length of a stem with such a shoulder, and of one without, in radii.
 _STEM_WIDTH, _SHOULDER_WIDTH, _STEM_RADII, _TAPER_RADII = 0.35, 0.86, 0.45, 1.0
-# Surface that goes on: in a ring of pixels (a camera's own blur makes 0.94), and beyond an end.
-_RING_PX, _RING_SHARE, _RING_RADII = (3, 7), 0.97, 1.3
+# Surface that goes on beyond an end.
 _BEYOND_RADII, _BLUR_PX = np.array([0.2, 0.7]), np.array([5.0, 9.0])
 _BEYOND_SHARE, _SURFACE_RADII, _SAME_COLOR = 0.75, 0.5, 45.0
 
@@ -92,11 +92,12 @@ def depth_doubts(
         its flanks, and the fruit behind its surroundings, as in inverted depth. 'depth-gap': the
         mask has several parts, and the background between them is clearly farther away, so that
         they are different fruit. 'depth-unaligned': the fruit does not stand out from the plane
-        around it, part of the mask lies in that plane or far behind nearly all along, or the mask
-        fits the near depth much better at another position. 'depth-coarse': its readings differ in
-        steps of over 1.2 % of the distance, or are one value with or without noise, or the picture
-        holds whole millimetres up to 255; not of a fruit that is too near. 'outline-stem': an end
-        of the mask is a third as wide as the fruit. 'outline-short': the surface goes on beyond it.
+        around it, the mask reaches beyond a sharp edge in depth on both sides, or it fits the near
+        depth much better at another position. 'depth-coarse': its readings differ in steps
+        of over 1.2 % of the distance, or are one value with or without noise, or the picture holds
+        whole millimetres up to 255; not of a fruit that is too near. 'outline-stem': an end of the
+        mask is a third as wide as the fruit. 'outline-short': the surface goes on beyond an end or
+        beyond both sides.
 
     Examples
     --------
@@ -116,8 +117,11 @@ def depth_doubts(
     if body.readings_m.size < MIN_READINGS:
         return (Flag.DEPTH_SPARSE,) if is_sparse else ()
     is_too_near = body.distance_m < _NEAREST_M
-    is_elsewhere = (
-        _lies_in_plane(body) or _lies_behind(body) or _fits_better_elsewhere(depth_m, body)
+    offset_px = _outline_offset_px(depth_m, mask, body)
+    is_loose = abs(offset_px) > max(_LOOSE_PX, _LOOSE_SHARE * body.scale * np.ptp(body.ends))
+    is_short = is_loose and offset_px > 0
+    is_elsewhere = not is_short and (
+        is_loose or _lies_in_plane(body) or _fits_better_elsewhere(depth_m, body)
     )
     is_coarse = has_coarse_steps(depth_m, body.readings_m, may_be_one=not is_sparse)
     is_coarse |= not is_elsewhere and _has_one_depth(body)
@@ -132,7 +136,7 @@ def depth_doubts(
     # Wrong depth says nothing of an outline.
     doubts[Flag.OUTLINE_STEM] = not any(doubts.values()) and _has_stem(body)
     doubts[Flag.OUTLINE_SHORT] = not any(doubts.values()) and (
-        _goes_on_around(depth_m, mask, body) or any(_goes_on(body, end, color) for end in (-1, 1))
+        is_short or any(_goes_on(body, end, color) for end in (-1, 1))
     )
     return tuple(flag for flag, holds in doubts.items() if holds)
 
@@ -147,7 +151,7 @@ class _Body:
 
     def __init__(self, depth_m: Depth, mask: Mask, focal_px: float) -> None:
         self.turn, size = _strip(mask)
-        self.mask = _warped(mask.view(np.uint8), self.turn, size) > 0
+        self.mask = without_specks(_warped(mask.view(np.uint8), self.turn, size) > 0, _LEAST_PIECE)
         self.depth_m: Depth = _warped(depth_m, self.turn, size)
         self.read = valid_depth(self.depth_m)
         self.readings_m = self.depth_m[self.mask & (self.depth_m > 0)]
@@ -169,17 +173,6 @@ class _Body:
         """Return equal ranges of columns along the mask."""
         bounds = np.linspace(self.ends[0], self.ends[1] + 1, count + 1).astype(int)
         return [slice(a, b) for a, b in pairwise(bounds)]
-
-    def has_all_along(self, beside: Mask) -> bool:
-        """Return whether a share of the mask, nearly all along, is beside the fruit's skin."""
-        read = self.mask & self.read
-        beside = beside & read
-        shares = [
-            int(beside[:, part].sum()) / max(int(read[:, part].sum()), 1)
-            for part in self.sections(_PARTS)
-        ]
-        least = np.clip(_BESIDE_PX / (self.radius_px * self.scale), *_BESIDE_SHARES)
-        return bool(np.quantile(shares, 0.25) >= least)
 
     def near_line(self, depth_m: Depth, read: Mask) -> tuple[float, float] | None:
         """Return the depth of what is nearest along the fruit: at column 0, and its slope.
@@ -347,7 +340,7 @@ def _is_notched(body: _Body, first: Places, last: Places) -> bool:
 
 
 def _lies_in_plane(body: _Body) -> bool:
-    """Return whether a mask lies in the plane around it, wholly or along its rim."""
+    """Return whether a mask lies in the plane around it."""
     outside = body.outside_px / body.radius_px
     around = body.read & (outside > _PLANE_RING_RADII[0]) & (outside < _PLANE_RING_RADII[1])
     middle = body.read & (body.inside_px > 0.5 * body.radius_px)
@@ -366,27 +359,48 @@ def _lies_in_plane(body: _Body) -> bool:
     ahead_m = np.abs(body.depth_m - plane[0] * u - plane[1] * v - plane[2])
     if max(around_sd_m, _robust_sd(ahead_m[middle])) >= _ROUGHNESS_RADII * body.radius_m:
         return False
-    if quick_median(ahead_m[middle]) < _LEAST_HEIGHT_RADII * body.radius_m:
-        return True
-    return body.has_all_along(ahead_m < _IN_PLANE_RADII * body.radius_m)
+    return bool(quick_median(ahead_m[middle]) < _LEAST_HEIGHT_RADII * body.radius_m)
 
 
 def _robust_sd(values: NDArray[np.floating[Any]]) -> float:
     return 1.4826 * float(quick_median(np.abs(values - quick_median(values))))
 
 
-def _lies_behind(body: _Body) -> bool:
-    """Return whether a mask lies partly on what is far behind, nearly all along the fruit."""
-    import cv2
+def _outline_offset_px(depth_m: Depth, mask: Mask, body: _Body) -> float:
+    """Return how far an outline lies within its fruit's edge in depth; negative beyond it.
 
+    At the picture's own resolution, along both long sides. 0 where depth shows no sharp edge along
+    them, as that of a stereo camera, which is a few pixels off its fruit.
+    """
     if body.line is None:
-        return False
-    read = body.mask & body.read
-    # A fruit that points at the camera is farther away at one end.
-    surface_m = cv2.medianBlur(np.where(read, body.off_m, 1e3).astype(np.float32), 3)
-    side_px = 2 * round(body.radius_px) + 1
-    near_m = np.asarray(cv2.erode(surface_m, np.ones((side_px, side_px), np.uint8)))
-    return body.has_all_along(body.off_m > near_m + _BEHIND_RADII * body.radius_m)
+        return 0.0
+    height, width = np.ceil(body.scale * np.array(body.mask.shape)).astype(int).tolist()
+    turn = body.turn / [body.scale, body.scale, 1.0]
+    outline = _warped(mask.view(np.uint8), turn, (width, height)) > 0
+    strip_m = _warped(depth_m, turn, (width, height))
+    behind_m = strip_m - body.line[0] - body.line[1] / body.scale * np.arange(width)
+    skin = valid_depth(strip_m) & (behind_m < _SKIN_RADII * body.radius_m)
+    other = valid_depth(strip_m) & ~skin
+    columns = np.flatnonzero(outline.any(axis=0))
+    columns = columns[len(columns) // 6 : -len(columns) // 6]
+    steps = np.arange(max(_EDGE_PX, round(_EDGE_RADII * body.radius_px * body.scale)))[:, None]
+    sides = []
+    for step in (1, -1):
+        first = outline[::step, columns].argmax(axis=0)
+        beyond = np.maximum(first - 1 - steps, 0), columns
+        within = np.minimum(first + steps, height - 1), columns
+        on, off = skin[::step][beyond], other[::step]
+        gap_px = on.sum(axis=0) - off[within].sum(axis=0)
+        # Beyond its edge there is something else.
+        known = ~on[3 * len(steps) // 4 :].any(axis=0) & off[beyond].any(axis=0)
+        parts = zip(np.array_split(gap_px, _PARTS), np.array_split(known, _PARTS), strict=True)
+        means = [part[is_known].mean() for part, is_known in parts if is_known.sum() > 0]
+        if len(means) <= _PARTS // 2:
+            return 0.0
+        low, median, high = np.quantile(means, [0.25, 0.5, 0.75])
+        sides.append(median if high - low <= _SHARP_PX + _SHARP_SHARE * abs(median) else 0.0)
+    nearest = float(min(sides, key=abs))
+    return nearest if sides[0] * sides[1] > 0 else 0.0
 
 
 def _has_one_depth(body: _Body) -> bool:
@@ -427,33 +441,14 @@ def _has_stem(body: _Body) -> bool:
     return False
 
 
-def _goes_on_around(depth_m: Depth, mask: Mask, body: _Body) -> bool:
-    """Return whether the fruit's surface goes on all round a mask that was drawn too narrow."""
-    import cv2
-
-    window = mask_window(mask, _RING_PX[1])
-    if window is None or body.line is None:
-        return False
-    within, wider = (
-        cv2.dilate(mask[window].view(np.uint8), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, size))
-        for size in ((side_px, side_px) for side_px in _RING_PX)
-    )
-    v, u = np.nonzero((wider > within) & valid_depth(depth_m[window]))
-    gap = np.stack([u + window[1].start, v + window[0].start], axis=1) - body.turn[:, 2]
-    columns = gap @ body.turn[:, 0] / body.scale**2
-    off_m = depth_m[window][v, u] - body.line[0] - body.line[1] * columns
-    return bool(
-        len(v) >= MIN_READINGS
-        and (np.abs(off_m) < _RING_RADII * body.radius_m).mean() >= _RING_SHARE
-    )
-
-
 def _goes_on(body: _Body, end: int, color: NDArray[np.uint8] | None) -> bool:
     """Return whether a surface as wide and of the same colour goes on beyond an end of a mask."""
     radius, tip = body.radius_px, body.ends[0] if end < 0 else body.ends[1]
     rows, columns = np.nonzero(body.mask)
     forward = end * (columns - tip)  # up to 0
     tail = forward > -4 * radius
+    if np.ptp(forward[tail]) < radius:
+        return False
     slope, middle = np.polyfit(forward[tail], rows[tail], 1)
     core = tail & (np.abs(rows - middle - slope * forward) < 0.3 * radius)
     if not core.any():
@@ -524,7 +519,8 @@ def _layers(depth_m: Depth, body: _Body) -> Depth | None:
     """Return what is near (1) and far (-1), what is read, the mask and a ring around it, shrunk.
 
     Near is what lies before 1.3 apparent radii behind what is nearest along the fruit,
-    because the distance at the mask may be that of another object. None without a line.
+    because the distance at the mask may be that of another object. What lies a radius in front of
+    that is no part of it, and counts as not read. None without a line.
     """
     import cv2
 
@@ -534,8 +530,9 @@ def _layers(depth_m: Depth, body: _Body) -> Depth | None:
     if line is None:
         return None
     height, width = body.mask.shape
-    limit_m = line[0] + line[1] * np.arange(width, dtype=np.float32)
-    limit_m *= 1 + _NEAR_RADII * body.radius_m / body.distance_m
+    line_m = line[0] + line[1] * np.arange(width, dtype=np.float32)
+    limit_m = line_m * (1 + _NEAR_RADII * body.radius_m / body.distance_m)
+    read = read & (depth_m > line_m - body.radius_m)
     behind = np.where(depth_m < limit_m, np.float32(1), np.float32(-1)) * read
     scale = min(1.0, _SCORE_PX / body.radius_px)
     size = max(1, round(width * scale)), max(1, round(height * scale))

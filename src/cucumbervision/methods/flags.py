@@ -38,6 +38,7 @@ class Flag(StrEnum):
     SAM_MASK_OFF_DETECTOR = "sam-mask-off-detector"
     NOT_COVERED = "calibration-not-covered"
     OTHER_MASK = "calibration-other-mask"
+    OTHER_VERSION = "calibration-other-version"
     OUTSIDE_RANGE = "outside-calibrated-range"
     DEPTH_UNIT = "depth-unit"
     DEPTH_TOO_NEAR = "depth-too-near"

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cucumbervision.capture.intrinsics import Intrinsics
-    from cucumbervision.methods.result import Measurement
+    from cucumbervision.methods.result import TubeFit
 
 
 _DISPARITY_RMS_PX = 0.08  # within windows of 26 pixels
@@ -197,10 +197,8 @@ class BeyondEnd:
     behind: float = 0.0
 
 
-def with_hidden_end(
-    measured: Measurement, depth_m: NDArray[np.float32], intrinsics: Intrinsics
-) -> Measurement:
-    """Return an M6 measurement with the distribution of the whole length, if it can be estimated.
+def with_hidden_end(fit: TubeFit, depth_m: NDArray[np.float32], intrinsics: Intrinsics) -> TubeFit:
+    """Return a tube with the distribution of the whole length, if it can be estimated.
 
     This requires that exactly one end is hidden, by an object in the picture, and that most of the
     fruit has depth. With two hidden ends, or a fruit cut by the edge of the picture, only the lower
@@ -208,23 +206,21 @@ def with_hidden_end(
 
     Parameters
     ----------
-    measured : Measurement
-        Measurement of M6.
+    fit : TubeFit
+        The fitted tube.
     depth_m : ndarray of float32, shape (H, W)
         Metres, aligned to colour.
     intrinsics : Intrinsics
         The colour stream's.
     """
-    fit = measured.fit
-    if fit is None or fit.fill < LEAST_FILL or sum(fit.ends_seen) != 1:
-        return measured
+    if fit.fill < LEAST_FILL or sum(fit.ends_seen) != 1:
+        return fit
     end = -1 if fit.ends_seen[0] else 0
     reach_m = covered_reach(depth_m, intrinsics, fit.traits.axis_m, end)
     if reach_m is None:
-        return measured
+        return fit
     seen_m = fit.traits.lengths.centreline_m
-    hidden = hidden_length(seen_m, fit.traits.diameter_max_m, reach_m)
-    return replace(measured, fit=replace(fit, hidden_length=hidden))
+    return replace(fit, hidden_length=hidden_length(seen_m, fit.traits.diameter_max_m, reach_m))
 
 
 def beyond_ends(

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
-from cucumbervision.fruit.masks import distances_inside, mask_window
+from cucumbervision.fruit.masks import distances_inside, mask_window, without_specks
 from cucumbervision.methods.depth_doubts import LEAST_FILL
 from cucumbervision.methods.flags import Flag
 from cucumbervision.methods.hidden_end import (
@@ -64,8 +63,6 @@ _MARGIN_PX = 8
 
 _RIM_PX = 3  # depth this near the outline mixes the fruit with what lies behind
 
-_MIN_PIECE = 0.02  # smaller pieces, relative to the mask, are specks
-
 _QUANTUM_M = 0.001
 
 # Stereo noise and outline errors are correlated: pixels that count as one independent reading.
@@ -78,38 +75,73 @@ _CRACKS_A_PIXEL = 4 / np.pi  # cracks per pixel of outline, averaged over direct
 _NEARER_M, _NEARER_SD = 0.003, 2.0  # depth step across the outline that indicates an occluder
 
 
-@dataclass(frozen=True, eq=False)
-class TubeView:
-    """The depth and outline of one fruit in one view, for fitting a tube.
+class _View:
+    """The depth and outline of one fruit, for fitting a tube.
 
-    Parameters
-    ----------
-    evidence : Evidence
-        Depth points away from the outline, and rays through the fruit's own outline, without parts
-        at occluders and at the edge of the picture.
-    grid_rays : ndarray of float64, shape (G, 3)
-        Unit directions of a coarse grid over the fruit's window.
-    grid_mask : ndarray of bool, shape (G,)
-        Whether each of them belongs to the mask.
-    grid_depth_m : ndarray of float64, shape (G,)
-        Depth along each of them; 0 for no reading.
-    fill : float
-        Share of the mask's pixels with a depth reading.
-    focal_px : float
-        Focal length, pixels.
+    `evidence` holds depth points away from the outline, and rays through the fruit's own outline,
+    without parts at occluders and at the edge of the picture; `grid_rays` unit directions of a
+    coarse grid over the fruit's window, `grid_mask` whether each belongs to the mask, and
+    `grid_depth_m` its depth, 0 for no reading.
     """
 
-    evidence: Evidence
-    grid_rays: NDArray[np.float64]
-    grid_mask: NDArray[np.bool_]
-    grid_depth_m: NDArray[np.float64]
-    fill: float
-    focal_px: float
+    def __init__(
+        self, depth_m: NDArray[np.float32], mask: NDArray[np.bool_], intrinsics: Intrinsics
+    ) -> None:
+        window = mask_window(mask, _MARGIN_PX) or ...
+        self._mask, depth_m = without_specks(mask[window]), depth_m[window]
+        self._depth_m = np.where(valid_depth(depth_m), depth_m, np.float32(0))
+        self._intrinsics, self._corner = intrinsics, (window[1].start, window[0].start)
+        self.focal_px = intrinsics.fx_px
+        self.fill = float((self._depth_m[self._mask] > 0).mean())
+        self.is_sparse = self.fill < LEAST_FILL
+        step = max(1, int(np.sqrt(self._mask.size / _GRID_POINTS)))
+        v, u = (m.ravel() * step for m in np.indices(self._mask[::step, ::step].shape))
+        self.grid_rays, self.grid_mask = self._rays(u, v), self._mask[v, u]
+        self.grid_depth_m = self._depth_m[v, u].astype(np.float64)
+        self.evidence = self._evidence()
 
-    @property
-    def sparse(self) -> bool:
-        """Whether most of the mask has no depth."""
-        return self.fill < LEAST_FILL
+    def _rays(self, u: NDArray[Any], v: NDArray[Any]) -> NDArray[np.float64]:
+        x, y = self._intrinsics.rays(u + self._corner[0], v + self._corner[1])
+        lengths = np.sqrt(x * x + y * y + 1)
+        return np.stack([x / lengths, y / lengths, 1 / lengths], axis=1)
+
+    def _evidence(self) -> Evidence:
+        import cv2
+
+        kernel = np.ones((2 * _RIM_PX + 1, 2 * _RIM_PX + 1), np.uint8)
+        # The edge of the picture is not an outline: pixels there are not eroded.
+        core = cv2.erode(self._mask.astype(np.uint8), kernel, borderValue=1) > 0
+        core &= self._depth_m > 0
+        area = int(np.count_nonzero(core))
+        step = max(1, int(np.sqrt(area / _DEPTH_POINTS)))
+        v, u = np.nonzero(core[::step, ::step])
+        sample = np.linspace(0, len(u) - 1, min(len(u), _DEPTH_POINTS)).astype(np.intp)
+        u, v = u[sample] * step, v[sample] * step
+        pixels, directions = np.stack([u, v], axis=1), self._rays(u, v)
+        points = directions * (self._depth_m[v, u] / directions[:, 2])[:, None]
+        from_rim_px = distances_inside(np.pad(self._mask, 1, mode="edge"), pixels + 1)
+        noise = np.hypot(depth_noise(points[:, 2], self.focal_px), edge_error(from_rim_px))
+        outline = self._own_outline()
+        long_px = len(outline) / _CRACKS_A_PIXEL
+        count = min(len(outline), _OUTLINE_POINTS)
+        sample = np.linspace(0, len(outline) - 1, count).astype(np.intp)
+        return Evidence(
+            points_m=points,
+            points_sd_m=np.hypot(noise, _QUANTUM_M / np.sqrt(12)),
+            rays=self._rays(*outline[sample].T),
+            rays_sd_rad=_OUTLINE_SD_PX / self.focal_px,
+            pixel_rad=1 / self.focal_px,
+            points_share=min(1.0, area / _POINT_AREA_PX / max(len(points), 1)),
+            rays_share=min(1.0, long_px / _OUTLINE_RUN_PX / max(count, 1)),
+            waves_m=noise_waves(pixels, points[:, 2], self.focal_px),
+        )
+
+    def _own_outline(self) -> NDArray[np.float64]:
+        points, outward = outline_cracks(self._mask)
+        inside, outside = (depth_across(self._depth_m, points, s * outward) for s in (-1, 1))
+        noise = depth_noise(np.nan_to_num(inside), self.focal_px)
+        # Comparisons with NaN are False: without readings on both sides, no occluder is assumed.
+        return np.asarray(points[~(outside < inside - _NEARER_M - _NEARER_SD * noise)])
 
     @property
     def surface_m(self) -> NDArray[np.float64]:
@@ -129,126 +161,6 @@ class TubeView:
         middle = 1 / float(np.median(readings[:, 2]))
         filled = bare / bare[:, 2:] / np.clip(inverse, 0.5 * middle, 2.0 * middle)[:, None]
         return np.vstack([points, filled])
-
-
-def view_tube(
-    depth_m: NDArray[np.float32], mask: NDArray[np.bool_], intrinsics: Intrinsics
-) -> TubeView | None:
-    """Gather a fruit's depth points and outline.
-
-    Parameters
-    ----------
-    depth_m : ndarray of float32, shape (H, W)
-        Metres, aligned to colour.
-    mask : ndarray of bool, shape (H, W)
-        The fruit's pixels; pieces smaller than 2 % are ignored.
-    intrinsics : Intrinsics
-        The colour stream's.
-
-    Returns
-    -------
-    TubeView or None
-        None for an empty mask.
-    """
-    window = mask_window(mask, _MARGIN_PX)
-    if window is None:
-        return None
-    part, z = _without_specks(mask[window]), depth_m[window]
-    z = np.where(valid_depth(z), z, np.float32(0))
-    lens = _Lens(intrinsics, window[1].start, window[0].start)
-    points, pixels, points_share = _points(z, part, lens)
-    depths_m = points[:, 2]
-    noise = depth_noise(depths_m, intrinsics.fx_px)
-    noise = np.hypot(noise, edge_error(_from_rim(part, pixels)))
-    waves = noise_waves(pixels, depths_m, intrinsics.fx_px)
-    rays, rays_share = _rays(z, part, lens)
-    step = max(1, int(np.sqrt(part.size / _GRID_POINTS)))
-    v, u = (m.ravel() * step for m in np.indices(part[::step, ::step].shape))
-    evidence = Evidence(
-        points_m=points,
-        points_sd_m=np.hypot(noise, _QUANTUM_M / np.sqrt(12)),
-        rays=rays,
-        rays_sd_rad=_OUTLINE_SD_PX / intrinsics.fx_px,
-        pixel_rad=1 / intrinsics.fx_px,
-        points_share=points_share,
-        rays_share=rays_share,
-        waves_m=waves,
-    )
-    return TubeView(
-        evidence=evidence,
-        grid_rays=lens.rays(u, v),
-        grid_mask=part[v, u],
-        grid_depth_m=z[v, u].astype(np.float64),
-        fill=float((z[part] > 0).mean()),
-        focal_px=intrinsics.fx_px,
-    )
-
-
-@dataclass(frozen=True)
-class _Lens:
-    """Intrinsics relative to the corner of a window."""
-
-    intrinsics: Intrinsics
-    left_px: int
-    top_px: int
-
-    def rays(self, u: NDArray[Any], v: NDArray[Any]) -> NDArray[np.float64]:
-        x, y = self.intrinsics.rays(u + self.left_px, v + self.top_px)
-        lengths = np.sqrt(x * x + y * y + 1)
-        return np.stack([x / lengths, y / lengths, 1 / lengths], axis=1)
-
-
-def _from_rim(part: NDArray[np.bool_], pixels: NDArray[np.intp]) -> NDArray[np.float32]:
-    # The edge of the picture is not an outline.
-    return distances_inside(np.pad(part, 1, mode="edge"), pixels + 1)
-
-
-def _without_specks(part: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    import cv2
-
-    outlines = cv2.findContours(part.view(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
-    if len(outlines) < 2:  # in a tenth of the time of labelling
-        return part
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(part.view(np.uint8), connectivity=8)
-    if count <= 2:
-        return part
-    areas = np.asarray(stats)[:, cv2.CC_STAT_AREA]
-    is_piece = areas >= min(_MIN_PIECE * areas[1:].sum(), areas[1:].max())
-    is_piece[0] = False
-    return np.asarray(is_piece[np.asarray(labels)])
-
-
-def _points(
-    z: NDArray[np.float32], part: NDArray[np.bool_], lens: _Lens
-) -> tuple[NDArray[np.float64], NDArray[np.intp], float]:
-    import cv2
-
-    size = 2 * _RIM_PX + 1
-    # The edge of the picture is not an outline: pixels there are not eroded.
-    kernel = np.ones((size, size), np.uint8)
-    core = (cv2.erode(part.astype(np.uint8), kernel, borderValue=1) > 0) & (z > 0)
-    area = int(np.count_nonzero(core))
-    step = max(1, int(np.sqrt(area / _DEPTH_POINTS)))
-    v, u = np.nonzero(core[::step, ::step])
-    sample = np.linspace(0, len(u) - 1, min(len(u), _DEPTH_POINTS)).astype(np.intp)
-    u, v = u[sample] * step, v[sample] * step
-    rays = lens.rays(u, v)
-    points = rays * (z[v, u] / rays[:, 2])[:, None]
-    return points, np.stack([u, v], axis=1), min(1.0, area / _POINT_AREA_PX / max(len(points), 1))
-
-
-def _rays(
-    z: NDArray[np.float32], part: NDArray[np.bool_], lens: _Lens
-) -> tuple[NDArray[np.float64], float]:
-    points, outward = outline_cracks(part)
-    inside, outside = depth_across(z, points, -outward), depth_across(z, points, outward)
-    noise = depth_noise(np.nan_to_num(inside), lens.intrinsics.fx_px)
-    # Comparisons with NaN are False: without readings on both sides, no occluder is assumed.
-    outline = points[~(outside < inside - _NEARER_M - _NEARER_SD * noise)]
-    long_px = len(outline) / _CRACKS_A_PIXEL
-    sample = np.linspace(0, len(outline) - 1, min(len(outline), _OUTLINE_POINTS)).astype(np.intp)
-    rays = lens.rays(outline[sample, 0], outline[sample, 1])
-    return rays, min(1.0, long_px / _OUTLINE_RUN_PX / max(len(rays), 1))
 
 
 _MIN_POINTS = 30
@@ -315,14 +227,24 @@ def measure_m6(
     >>> round(result.tube.centreline_m, 3), round(result.tube.thread_m / fruit.thread_m, 2)
     (0.2, 1.0)
     """
-    view = view_tube(depth_m, mask, intrinsics)
-    if view is None:
+    if not mask.any():
         return Measurement(MethodName.M6, reason=Reason.TOO_FEW_POINTS)
-    fitting = fit_view(view)
+    view = _View(depth_m, mask, intrinsics)
+    fitting = _fitting(view)
     if isinstance(fitting, Reason):
         return Measurement(MethodName.M6, reason=fitting)
-    ends = beyond_ends(depth_m, mask, intrinsics, *fitting.shape.balls())
-    return with_hidden_end(judged_fit(view, fitting, ends), depth_m, intrinsics)
+    overhangs = end_overhangs(fitting.shape, fitting.rays, view.evidence.rays)
+    traits = tube_traits(*with_tips(*fitting.shape.balls(_BALLS), overhangs))
+    length = traits.lengths.centreline_m
+    if not _RANGE_M[0] <= length <= _RANGE_M[1]:
+        return Measurement(MethodName.M6, reason=Reason.OUT_OF_RANGE)
+    fit = _fit(
+        view, fitting, traits, beyond_ends(depth_m, mask, intrinsics, *fitting.shape.balls())
+    )
+    if fit.explained < _MIN_EXPLAINED:
+        return Measurement(MethodName.M6, reason=Reason.NOT_A_TUBE)
+    fit = with_hidden_end(fit, depth_m, intrinsics)
+    return Measurement(MethodName.M6, length, LengthKind.CENTRELINE, path_m=traits.axis_m, fit=fit)
 
 
 def fits_well(measured: Measurement) -> bool:
@@ -354,7 +276,7 @@ def fits_well(measured: Measurement) -> bool:
     )
 
 
-def fit_view(view: TubeView) -> TubeFitting | Reason:
+def _fitting(view: _View) -> TubeFitting | Reason:
     """Return the best-fitting tube of a view, or the reason why there is none."""
     if len(view.evidence.points_m) < _MIN_POINTS:
         return Reason.TOO_FEW_POINTS
@@ -370,7 +292,7 @@ def fit_view(view: TubeView) -> TubeFitting | Reason:
     return Reason.ALONG_THE_VIEW if _runs_away(fitting) else fitting
 
 
-def _best_fit(view: TubeView) -> TubeFitting:
+def _best_fit(view: _View) -> TubeFitting:
     surface, evidence = view.surface_m, view.evidence
     level = near_depths(surface)
     fits = [fit_shape(evidence, guess_shape(surface, level))]
@@ -383,11 +305,11 @@ def _best_fit(view: TubeView) -> TubeFitting:
         overlap < _GOOD_OVERLAP
         or first.centreline_sd_m > _UNSURE_M
         or _end_on(first.shape.balls()[0])
-        or view.sparse
+        or view.is_sparse
     )
     if unsure:
         guesses.append(_flat_guess(view))
-        if view.sparse:
+        if view.is_sparse:
             guesses.append(_flat_guess(view, by_girth=True))
     if unsure or overlap < _FULL_OVERLAP:
         picture = view.grid_rays[:, :2] / view.grid_rays[:, 2:]
@@ -399,17 +321,17 @@ def _best_fit(view: TubeView) -> TubeFitting:
     return _better(view, fits) if len(fits) > 1 else first
 
 
-def _better(view: TubeView, fits: list[TubeFitting]) -> TubeFitting:
+def _better(view: _View, fits: list[TubeFitting]) -> TubeFitting:
     # Clearly better coverage of the mask decides, then the misfit. Of two equal fits, the flatter
     # one is taken, as fruit hang; if most depth is missing, the one of more even thickness.
     overlap = [_coverage(view, fit.shape)[2] for fit in fits]
-    least_overlap = max(overlap) - (_SPARSE_BETTER if view.sparse else _CLEARLY_BETTER)
+    least_overlap = max(overlap) - (_SPARSE_BETTER if view.is_sparse else _CLEARLY_BETTER)
     covering = [f for f, o in zip(fits, overlap, strict=True) if o > least_overlap]
     covering = [f for f in covering if not _runs_away(f)] or covering
     least_misfit = min(fit.misfit for fit in covering)
-    alike = _SPARSE_ALIKE * least_misfit if view.sparse else _FITS_ALIKE
+    alike = _SPARSE_ALIKE * least_misfit if view.is_sparse else _FITS_ALIKE
     of_these = [f for f in covering if f.misfit <= least_misfit + alike]
-    return min(of_these, key=_unevenness if view.sparse else _depth_share)
+    return min(of_these, key=_unevenness if view.is_sparse else _depth_share)
 
 
 def _unevenness(fit: TubeFitting) -> float:
@@ -432,7 +354,7 @@ def _depth_share(fit: TubeFitting) -> float:
     return abs(float(run @ middle)) / float(np.linalg.norm(run) * np.linalg.norm(middle))
 
 
-def _flat_guess(view: TubeView, *, by_girth: bool = False) -> TubeShape:
+def _flat_guess(view: _View, *, by_girth: bool = False) -> TubeShape:
     # The middle line of the outline, with the depth of a plane through most readings.
     rays = view.grid_rays[view.grid_mask]
     picture, depth = rays[:, :2] / rays[:, 2:], view.grid_depth_m[view.grid_mask]
@@ -440,33 +362,8 @@ def _flat_guess(view: TubeView, *, by_girth: bool = False) -> TubeShape:
     return guess_from_picture(picture, is_read, 1.0 / depth[is_read], by_girth=by_girth)
 
 
-def judged_fit(
-    view: TubeView, fitting: TubeFitting, ends: tuple[BeyondEnd, BeyondEnd]
-) -> Measurement:
-    """Return the measurement of a fitted tube, or the reason why it is rejected.
-
-    Parameters
-    ----------
-    view : TubeView
-        The view that defines the coordinates.
-    fitting : TubeFitting
-        The tube.
-    ends : tuple of BeyondEnd
-        The depth beyond its ends.
-    """
-    overhangs = end_overhangs(fitting.shape, fitting.rays, view.evidence.rays)
-    traits = tube_traits(*with_tips(*fitting.shape.balls(_BALLS), overhangs))
-    length = traits.lengths.centreline_m
-    if not _RANGE_M[0] <= length <= _RANGE_M[1]:
-        return Measurement(MethodName.M6, reason=Reason.OUT_OF_RANGE)
-    fit = _fit(view, fitting, traits, ends)
-    if fit.explained < _MIN_EXPLAINED:
-        return Measurement(MethodName.M6, reason=Reason.NOT_A_TUBE)
-    return Measurement(MethodName.M6, length, LengthKind.CENTRELINE, path_m=traits.axis_m, fit=fit)
-
-
 def _fit(
-    view: TubeView, fitting: TubeFitting, traits: TubeTraits, ends: tuple[BeyondEnd, BeyondEnd]
+    view: _View, fitting: TubeFitting, traits: TubeTraits, ends: tuple[BeyondEnd, BeyondEnd]
 ) -> TubeFit:
     explained, hidden, overlap = _coverage(view, fitting.shape)
     rays = fitting.rays
@@ -506,7 +403,7 @@ def _fit(
 
 
 @lru_cache(maxsize=8)
-def _coverage(view: TubeView, shape: TubeShape) -> tuple[float, float, float]:
+def _coverage(view: _View, shape: TubeShape) -> tuple[float, float, float]:
     # Intersect the rays of the window with the tube, and compare with the picture. The last value
     # is the overlap of tube and mask where no nearer object hides the tube.
     met = gaps(shape, view.grid_rays, rays=True)
@@ -516,7 +413,7 @@ def _coverage(view: TubeView, shape: TubeShape) -> tuple[float, float, float]:
     nearer = (view.grid_depth_m > 0) & (view.grid_depth_m < met.centres_m[:, 2])
     covered = int((inside & ~fruit_mask & nearer).sum())
     # If most depth is missing, a ray without a reading may be covered.
-    unread = int((inside & ~fruit_mask & (view.grid_depth_m <= 0)).sum()) if view.sparse else 0
+    unread = int((inside & ~fruit_mask & (view.grid_depth_m <= 0)).sum()) if view.is_sparse else 0
     either = int((inside | fruit_mask).sum()) - covered - unread
     return (
         common / max(int(fruit_mask.sum()), 1),
@@ -525,7 +422,7 @@ def _coverage(view: TubeView, shape: TubeShape) -> tuple[float, float, float]:
     )
 
 
-def _on_surface(view: TubeView, fitting: TubeFitting) -> float:
+def _on_surface(view: _View, fitting: TubeFitting) -> float:
     # Share of the depth points on the tube, within the error of the sensor.
     within = (
         np.abs(fitting.points.gap_m) <= _ON_SURFACE_SD * view.evidence.points_sd_m + _ON_SURFACE_M

@@ -12,15 +12,14 @@ from collections.abc import Callable
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
-from functools import cache, cached_property
+from functools import cached_property
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 
-import cucumbervision
-from cucumbervision.about import installed_versions, software
+from cucumbervision.about import code_sha256, installed_versions, software
 from cucumbervision.errors import CucumberVisionError, wrap_os_errors
 from cucumbervision.files import (
     as_path,
@@ -81,8 +80,6 @@ RECORDS = "records"
 
 _BESIDE_CELLS = frozenset({"pose", "methods"})  # of a fruit of `measurements.json`
 _JPEG_QUALITY = 85
-_CODE = frozenset({".py", ".c", ".csv", ".json", ".toml"})
-_NO_LENGTH = frozenset({"cli", "service", "stream"})  # rooms that decide none
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -699,18 +696,6 @@ def deciding_sha256(
     return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
 
-@cache
-def code_sha256() -> str:
-    """Return the hash of the code and the tables of this package that decide a length."""
-    root = Path(cucumbervision.__file__).parent
-    digest = hashlib.sha256()
-    for path in sorted(root.rglob("*")):
-        name = path.relative_to(root)
-        if path.suffix in _CODE and name.parts[0] not in _NO_LENGTH:
-            digest.update(f"{name.as_posix()} {file_sha256(path)}\n".encode())
-    return digest.hexdigest()
-
-
 def _path_sha256(path: Path) -> str:
     """Hash a file, or all files of a folder with their names."""
     if not path.exists():
@@ -734,6 +719,7 @@ def provenance_of(
         "started": started.isoformat(timespec="seconds"),
         "config": options.as_json(),
         "config_sha256": options.sha256,
+        "code_sha256": code_sha256(),
         "models": [model for model in models if "package" not in model],
         "plugins": [model for model in models if "package" in model],
         "calibration": site and {"tag": site.tag, **site.model_dump(mode="json")},

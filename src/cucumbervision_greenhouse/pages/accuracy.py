@@ -267,14 +267,15 @@ def measured_round(store: Store, round_key: str) -> Measured:
     table = {line.key: line for line in fruit_table(content)}
     stops = [x for x in content.stops if any(view.stop_key == x.key for view in fruit)]
     captures = [_capture_lines(stop, capture) for stop in stops for capture in stop.captures]
-    report: dict[str, Any] = {"captures": captures, "models": []}
-    for artifact in stops[-1].artifacts if stops else ():
-        if artifact.kind == "model":
-            report["models"].append({"name": artifact.name, "sha256": artifact.sha256})
-        elif artifact.kind in ("config", "calibration"):
-            report |= {artifact.kind: dict(artifact.details)}
-        if artifact.kind == "config":
-            report["config_sha256"] = artifact.sha256
+    codes = {part.sha256 for stop in stops for part in stop.artifacts if part.kind == "software"}
+    used = stops[-1].artifacts if stops else ()
+    models = [{"name": x.name, "sha256": x.sha256} for x in used if x.kind == "model"]
+    report: dict[str, Any] = {"captures": captures, "models": models}
+    report["code_sha256"] = codes.pop() if len(codes) == 1 else ""
+    for artifact in used:
+        if artifact.kind in ("config", "calibration"):
+            report[artifact.kind] = dict(artifact.details)
+            report[f"{artifact.kind}_sha256"] = artifact.sha256
         elif artifact.kind == "software":
             report["software"] = artifact.name
     asked = [n for n in AVAILABLE if n in report.get("config", {}).get("methods", [])]

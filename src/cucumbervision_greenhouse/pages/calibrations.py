@@ -208,7 +208,9 @@ def effect_words(site: SiteCalibration, length: LengthDefinition, units: Units) 
             )
         )
     entry = site.entry(calibration_key(MethodName.M6, length), length)
-    if entry is not None:
+    if site.is_of_other_version:
+        words.append(_("Made with another version of this program: lengths stay as they are."))
+    elif entry is not None:
         share = decimal_words(f"{100 * (entry.scale - 1):+.1f} %")
         offset = f"{'+' if entry.offset_m >= 0 else '−'} {units.text(abs(entry.offset_m))}"
         change = {

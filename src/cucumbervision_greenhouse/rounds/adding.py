@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from cucumbervision._version import __version__
+from cucumbervision.about import code_sha256
 from cucumbervision.accuracy.calibration_file import SiteCalibration
 from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.frames import Capture, Doubt, Stop
@@ -557,7 +558,7 @@ def _artifact_records(
     """Return software, configuration, networks and calibration that a measurer measures with."""
     options, site = measurer.options, measurer.site
     records = [
-        ArtifactRecord("software", f"cucumbervision {__version__}"),
+        ArtifactRecord("software", f"cucumbervision {__version__}", code_sha256()),
         ArtifactRecord("config", "measure", options.sha256, options.as_json()),
     ]
     models = [model for result in results for model in result.models]

@@ -16,7 +16,6 @@ from cucumbervision.capture.source import example_captures
 from cucumbervision.methods.flags import Flag
 from cucumbervision.methods.m6 import fits_well, measure_m6
 from cucumbervision.methods.result import LengthKind, Measurement, Reason, TubeFit, TubeLengths
-from cucumbervision.tube import compiled as tube_kernel
 from cucumbervision.tube.evidence import Evidence
 from cucumbervision.tube.fit import TubeFitting, fit_shape
 from cucumbervision.tube.shape import TubeShape
@@ -290,27 +289,6 @@ def test_a_length_does_not_hang_on_the_guess(
     moves = [moves_cm(one, monkeypatch) for one in fruit + fruit_of(example_captures())]
     assert sum(map(bool, moves)) >= 15
     assert max(max(by, default=0.0) for by in moves) < 0.01
-
-
-def between_kernels_cm(fruit: Seen) -> float:
-    """How far apart the lengths of the compiled kernel and of NumPy are."""
-    compiled = fitted(measure_m6(*fruit))[0].centreline_m
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(tube_kernel, "library", lambda: None)
-        return 100 * abs(compiled - fitted(measure_m6(*fruit))[0].centreline_m)
-
-
-@pytest.mark.skipif(tube_kernel.library() is None, reason="the kernel is not compiled here")
-def test_both_kernels_give_the_same_lengths(camera: Intrinsics) -> None:
-    fruit = [(*noisy(drawn(seed), camera, seed), camera) for seed in range(12)]
-    assert max(map(between_kernels_cm, fruit + fruit_of(example_captures()))) < 0.01
-
-
-@pytest.mark.skipif(tube_kernel.library() is None, reason="the kernel is not compiled here")
-@pytest.mark.realdata
-def test_both_kernels_give_real_frames_the_same_lengths(shared_data: Path) -> None:
-    frames = fruit_of(shared_data / "rgbd" / "carrot_realsense_1280")
-    assert max(map(between_kernels_cm, frames)) < 0.01
 
 
 @pytest.mark.realdata

@@ -14,6 +14,7 @@ from hypothesis import settings
 from numpy.typing import NDArray
 from tests.constant_network import constant_network
 
+from cucumbervision.arrays import Array, Array32, Numbers, Pixels
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision_lab.scenes.bodies import Tube
@@ -32,10 +33,10 @@ def camera() -> Intrinsics:
 
 
 @pytest.fixture
-def helix() -> Callable[[float, float, float], NDArray[np.float64]]:
+def helix() -> Callable[[float, float, float], Array]:
     """Draw a helix along x about the origin: 2000 points of its radius, its pitch, its turns."""
 
-    def points(radius_m: float, pitch_m: float, turns: float) -> NDArray[np.float64]:
+    def points(radius_m: float, pitch_m: float, turns: float) -> Array:
         turn = np.linspace(-turns * np.pi, turns * np.pi, 2000)
         along = pitch_m * turn / (2 * np.pi)
         return np.stack([along, radius_m * np.cos(turn), radius_m * np.sin(turn)], axis=1)
@@ -82,7 +83,7 @@ def draw(tube: Tube, camera: Intrinsics, backdrop_m: float = 0.0) -> tuple[Captu
     return capture_of(scene, camera), scene
 
 
-def depth32(scene: View) -> NDArray[np.float32]:
+def depth32(scene: View) -> Array32:
     return scene.depth_m.astype(np.float32)
 
 
@@ -168,10 +169,10 @@ class SoftwareCamera:
         stream.intrinsics = lens
         return sensor.add_video_stream(stream).as_video_stream_profile()
 
-    def push(self, depth_mm: NDArray[np.uint16], color: NDArray[np.uint8] | None) -> Any:
+    def push(self, depth_mm: NDArray[np.uint16], color: Pixels | None) -> Any:
         """Send one frame; gives the frameset that the SDK made of it."""
         self._count += 1
-        images: list[NDArray[Any]] = [depth_mm] if color is None else [depth_mm, color]
+        images: list[Numbers] = [depth_mm] if color is None else [depth_mm, color]
         for inlet, profile, image in zip(self._inlets, self._profiles, images, strict=False):
             frame = self.rs.software_video_frame()
             large = image.repeat(self._enlarged, axis=0).repeat(self._enlarged, axis=1)
@@ -194,7 +195,7 @@ class SoftwareCamera:
         self._sensors, self._recorder = [], None
 
 
-def block_scene(index: int) -> tuple[NDArray[np.uint16], NDArray[np.uint8]]:
+def block_scene(index: int) -> tuple[NDArray[np.uint16], Pixels]:
     """A wall at 600 mm, before it a block at 450 mm; each frame reads 1 mm more than the last."""
     depth = np.full((HEIGHT, WIDTH), 600, np.uint16)
     depth[80:100, 100:200] = 450 + index
@@ -210,8 +211,8 @@ def record(
     frames: int,
     *,
     pause_s: float = 0.0,
-    convert: Callable[[NDArray[np.uint8]], NDArray[np.uint8] | None] | None = None,
-    scene: Callable[[int], tuple[NDArray[np.uint16], NDArray[np.uint8]]] = block_scene,
+    convert: Callable[[Pixels], Pixels | None] | None = None,
+    scene: Callable[[int], tuple[NDArray[np.uint16], Pixels]] = block_scene,
     **camera: Any,
 ) -> Path:
     """Record `frames` of a scene, its colour converted to what the stream carries."""
@@ -251,7 +252,7 @@ def make_recording() -> Callable[..., Path]:
 
 
 @pytest.fixture(scope="session")
-def scene() -> Callable[[int], tuple[NDArray[np.uint16], NDArray[np.uint8]]]:
+def scene() -> Callable[[int], tuple[NDArray[np.uint16], Pixels]]:
     """Give `block_scene`."""
     return block_scene
 

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
+
+from cucumbervision.arrays import Numbers
 
 
 def constant_network(
-    *outputs: NDArray[Any],
+    *outputs: Numbers,
     props: Mapping[str, object] | None = None,
     shape: tuple[int | str, ...] = (1, 3, 64, 64),
 ) -> bytes:

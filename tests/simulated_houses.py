@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cucumbervision.arrays import Array
 from cucumbervision_greenhouse.forecast.growth import FruitState, Spreads, rate_share
 
 
@@ -76,7 +77,7 @@ class SimulatedHouse:
     """
 
     fruit: tuple[FruitState, ...]
-    lengths_m: NDArray[np.float64]
+    lengths_m: Array
     row: NDArray[np.int64]
     of_fruit: NDArray[np.int64]
 
@@ -113,12 +114,8 @@ def simulate_house(settings: HouseSettings, seed: int) -> SimulatedHouse:
 
 
 def _increment(
-    s: HouseSettings,
-    rate: NDArray[np.float64],
-    length: NDArray[np.float64],
-    rng: np.random.Generator,
-    direction: int = 1,
-) -> NDArray[np.float64]:
+    s: HouseSettings, rate: Array, length: Array, rng: np.random.Generator, direction: int = 1
+) -> Array:
     luck = s.spreads.fruit_day * rng.standard_normal(len(rate))
     step = np.maximum(rate + s.spreads.day * rng.standard_normal() + luck, 0.0)
     # The day's growth at the length of its middle, forwards and backwards alike.
@@ -126,9 +123,7 @@ def _increment(
     return np.asarray(step * rate_share(middle, s.full_m), np.float64)
 
 
-def _measured(
-    s: HouseSettings, length: NDArray[np.float64], scale: float, rng: np.random.Generator
-) -> NDArray[np.float64]:
+def _measured(s: HouseSettings, length: Array, scale: float, rng: np.random.Generator) -> Array:
     """Return measured lengths, NaN where the fruit was missed or is too small."""
     sd = np.hypot(s.relative_sd * length, s.floor_sd_m)
     read = scale * (length + sd * rng.standard_normal(len(length)))
@@ -142,10 +137,7 @@ def _sd(s: HouseSettings, read: float) -> float:
 
 
 def _states(
-    s: HouseSettings,
-    rounds: dict[int, NDArray[np.float64]],
-    row: NDArray[np.int64],
-    rng: np.random.Generator,
+    s: HouseSettings, rounds: dict[int, Array], row: NDArray[np.int64], rng: np.random.Generator
 ) -> tuple[tuple[FruitState, ...], NDArray[np.int64]]:
     read, before = rounds[0], np.array([rounds[day] for day in s.visits[:-1]])
     seen = np.flatnonzero(~np.isnan(read))

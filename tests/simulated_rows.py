@@ -7,11 +7,11 @@ at random, with the errors that the benchmark of single captures found. No pictu
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cucumbervision.arrays import Array, Ints, Mask, Numbers
 from cucumbervision.methods.matching import ALONG, DEPTH, UP
 from cucumbervision_greenhouse.rounds.row_views import RowStops, RowViews
 from cucumbervision_lab.scenes.bodies import random_fruit
@@ -80,10 +80,10 @@ class Plants:
     Metres; `seen_from` is bool of shape (F, 2), `name` numbers a fruit through all days.
     """
 
-    place_m: NDArray[np.float64]
-    length_m: NDArray[np.float64]
-    diameter_m: NDArray[np.float64]
-    seen_from: NDArray[np.bool_]
+    place_m: Array
+    length_m: Array
+    diameter_m: Array
+    seen_from: Mask
     name: NDArray[np.int64]
 
 
@@ -145,7 +145,7 @@ def _simulate_plants(settings: SimulatedRow, rng: np.random.Generator) -> Plants
     return Plants(table[:, :3], table[:, 3], table[:, 4], seen, names)
 
 
-def _touches(one: NDArray[np.float64], others: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _touches(one: Array, others: Array) -> Mask:
     gap = np.abs(others - one)
     across = np.hypot(gap[:, ALONG], gap[:, DEPTH])
     level = gap[:, UP] < (others[:, 3] + one[3]) / 2
@@ -178,12 +178,8 @@ def walk(plants: Plants, settings: SimulatedRow, rng: np.random.Generator) -> Wa
 
 
 def _capture(
-    plants: Plants,
-    camera_m: NDArray[np.float64],
-    side: int,
-    s: SimulatedRow,
-    rng: np.random.Generator,
-) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.bool_]]:
+    plants: Plants, camera_m: Array, side: int, s: SimulatedRow, rng: np.random.Generator
+) -> tuple[Array, NDArray[np.int64], Mask]:
     """Return columns along, up, depth, length, diameter, partial, score; names; what is in view."""
     sign = 1.0 - 2.0 * side
     offset = plants.place_m - camera_m
@@ -221,7 +217,7 @@ def _capture(
     return table, np.append(plants.name[seen], np.full(invented, -1)), could
 
 
-def _views(table: NDArray[np.float64], s: SimulatedRow) -> RowViews:
+def _views(table: Array, s: SimulatedRow) -> RowViews:
     stop = table[:, 0].astype(np.int64)
     length, partial = table[:, 4], table[:, 6] > 0
     sd = np.tile(s.place_sd_m * np.array([1.0, 1.0, 1.5]), (len(stop), 1))
@@ -244,7 +240,7 @@ def _views(table: NDArray[np.float64], s: SimulatedRow) -> RowViews:
 def grow_plants(
     plants: Plants,
     days: float,
-    shift_m: NDArray[np.float64],
+    shift_m: Array,
     rng: np.random.Generator,
     *,
     picked_over_m: float = 0.30,
@@ -299,9 +295,9 @@ def grow_plants(
     )
 
 
-def _some(plants: Plants, which: NDArray[np.intp]) -> Plants:
+def _some(plants: Plants, which: Ints) -> Plants:
     return Plants(*(array[which] for array in _arrays(plants)))
 
 
-def _arrays(plants: Plants) -> list[NDArray[Any]]:
+def _arrays(plants: Plants) -> list[Numbers]:
     return [getattr(plants, field.name) for field in fields(plants)]

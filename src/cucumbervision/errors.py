@@ -131,9 +131,8 @@ class CucumberVisionError(Exception):
         self.line = Message(form, **lines)
         super().__init__(self.line)
 
-    def __reduce__(self) -> tuple[object, ...]:
-        """Return how a copy is made in another process."""
-        return _copied, (type(self), self.__dict__, self.args)
+    def __str__(self) -> str:
+        return self.line
 
     @property
     def code(self) -> str:
@@ -143,15 +142,6 @@ class CucumberVisionError(Exception):
     def at(self, source: object) -> Self:
         """Return the same error of another source."""
         return type(self)(self.message, source=source, remedy=self.remedy)
-
-
-def _copied(
-    kind: type[CucumberVisionError], state: dict[str, object], args: tuple[object, ...]
-) -> CucumberVisionError:
-    error = kind.__new__(kind, *args)
-    error.args = args
-    error.__dict__.update(state)
-    return error
 
 
 class FileError(CucumberVisionError):

@@ -255,7 +255,10 @@ def _csv_value(value: str | float | bool | None) -> str | int | float | None:
 
 
 def cell_value(value: str | float | bool | None) -> str | int | float | None:
-    """Return the content of a spreadsheet cell: texts defused, booleans as words.
+    """Return the content of a spreadsheet cell: booleans as words, and no text as a formula.
+
+    A leading =, +, -, @, tab or carriage return gets an apostrophe before it (OWASP, CSV
+    injection), as do their full-width forms, which some spreadsheets interpret in the same way.
 
     Examples
     --------
@@ -264,27 +267,14 @@ def cell_value(value: str | float | bool | None) -> str | int | float | None:
     """
     if isinstance(value, bool):
         return "true" if value else "false"
-    return defused(value) if isinstance(value, str) else value
+    is_formula = isinstance(value, str) and value[:1] in _FORMULA_STARTS
+    return f"'{value}" if is_formula else value
 
 
 def write_json(path: Path, report: Mapping[str, Any]) -> None:
     """Write a report as JSON at once, UTF-8, one value per line."""
     with replacing(path) as part:
         part.write_text(json.dumps(report, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-
-
-def defused(text: str) -> str:
-    """Return a text that no spreadsheet interprets as a formula.
-
-    A leading =, +, -, @, tab or carriage return gets an apostrophe before it (OWASP, CSV
-    injection), as do their full-width forms, which some spreadsheets interpret in the same way.
-
-    Examples
-    --------
-    >>> defused("=1+1"), defused("row 3")
-    ("'=1+1", 'row 3')
-    """
-    return f"'{text}" if text[:1] in _FORMULA_STARTS else text
 
 
 def json_value(value: Any) -> Any:

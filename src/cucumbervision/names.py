@@ -50,27 +50,17 @@ def checked_name(text: str, what: str = "name", longest: int | None = LONGEST_NA
     cucumbervision.errors.NameRefusedError: the row '3?' contains U+202E, ...
     """
     name = text.strip()
-    if longest is not None and len(name) > longest:
-        name_start = readable(name[:_SHOWN_CHARACTERS])
-        raise NameRefusedError(
-            "the {what} '{name}' has {count} characters, and {most} are taken",
-            remedy="shorten it",
-            what=Message(what),
-            name=name_start,
-            count=len(name),
-            most=longest,
-        )
     bad = next((c for c in name if _is_unreadable(c)), None)
-    if bad is not None:
-        name_start = readable(name[:_SHOWN_CHARACTERS])
-        raise NameRefusedError(
-            "the {what} '{name}' contains U+{sign:04X}, which is no letter or sign",
-            remedy="type it again; only letters, digits, signs and spaces",
-            what=Message(what),
-            name=name_start,
-            sign=ord(bad),
-        )
-    return name
+    if longest is not None and len(name) > longest:
+        fault = "the {what} '{name}' has {count} characters, and {most} are taken"
+        remedy = "shorten it"
+    elif bad is not None:
+        fault = "the {what} '{name}' contains U+{sign:04X}, which is no letter or sign"
+        remedy = "type it again; only letters, digits, signs and spaces"
+    else:
+        return name
+    parts = {"name": readable(name[:_SHOWN_CHARACTERS]), "count": len(name), "most": longest}
+    raise NameRefusedError(fault, remedy=remedy, what=Message(what), sign=ord(bad or "?"), **parts)
 
 
 def readable(text: str) -> str:

@@ -30,9 +30,7 @@ from cucumbervision.errors import CucumberVisionError, PluginError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    import numpy as np
-    from numpy.typing import NDArray
-
+    from cucumbervision.arrays import Pixels
     from cucumbervision.capture.frames import Capture
     from cucumbervision.capture.source import CaptureLister, Folder
     from cucumbervision.fruit.instance import Instance
@@ -260,9 +258,7 @@ class Segmenter(Protocol):
     returns the mask of the object at a pixel, bool, shape (H, W).
     """
 
-    def segment(
-        self, color_rgb: NDArray[np.uint8], instances: Sequence[Instance], /
-    ) -> Sequence[Instance]:
+    def segment(self, color_rgb: Pixels, instances: Sequence[Instance], /) -> Sequence[Instance]:
         """Return the instances with masks, in the same order.
 
         Parameters

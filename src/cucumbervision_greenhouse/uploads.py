@@ -230,8 +230,7 @@ class Uploads:
             path.touch()  # an empty file has no parts
         files = [(file.name, path) for file, path in zip(sending.files, paths, strict=True)]
         # Of the files themselves no more arrives than was announced.
-        limit_bytes = max(sending.size, Limits().total_bytes)
-        limits = Limits(files=MOST_FILES, file_bytes=limit_bytes, total_bytes=limit_bytes)
+        limits = Limits(files=MOST_FILES, total_bytes=max(sending.size, Limits().total_bytes))
         walk = sending.place
         try:
             with tempfile.TemporaryDirectory(dir=self.folder) as folder:
@@ -282,36 +281,33 @@ def _queue(
     waiting, store, reading = parts
     name = source.title
     try:
-        refs = iter(_opened(source, reading, sending.camera))
+        refs = list(_opened(source, reading, sending.camera))
     except CucumberVisionError as error:
         outcomes.append(_lost(str(error.source or name), error.at(None).line))
         return walk
-    while True:
+    for ref in refs:
         try:
-            ref = next(refs, None)
-            if ref is None:
-                return walk
             capture = ref.load()
             name, stop = capture.source or capture.name, capture.stop
             if stop.position_m is None:
                 stop, walk = replace(stop, position_m=walk.position_m), walk.onward()
             stop = replace(stop, row=stop.row or walk.row or None, side=stop.side or walk.side)
-            outcomes.append(_kept(replace(capture, stop=stop), name, sending.round, waiting, store))
+            words = _kept(replace(capture, stop=stop), sending.round, waiting, store)
+            outcomes.append(UploadOutcome(name=name, saved=True, words=words))
         except (DiskFullError, StoreAwayError):
             raise
         except CucumberVisionError as error:
             outcomes.append(_lost(str(error.source or name), error.message))
+    return walk
 
 
-def _kept(
-    capture: Capture, name: str, round_key: str, waiting: WaitingCaptures, store: Store
-) -> UploadOutcome:
-    """Let a capture wait at its place, unless the round has it or another one there.
+def _kept(capture: Capture, round_key: str, waiting: WaitingCaptures, store: Store) -> Message:
+    """Let a capture wait at its place; return the words for it.
 
     Raises
     ------
     CucumberVisionError
-        If the same camera took another at its place, or it cannot be kept.
+        If the round has it, the same camera took another at its place, or it cannot be kept.
     """
     home = round_for_capture(store, round_key, simulated=capture.simulated)
     queued = [other for other in waiting.captures() if other.round_key == home]
@@ -320,15 +316,15 @@ def _kept(
         capture = replace(capture, stop=replace(capture.stop, step=step))
     item = RoundCapture.to_add(store, home, capture, keep=True)
     if item.is_deleted:
-        return _lost(name, Message("was deleted: undo that to have it back"))
+        raise UploadError("was deleted: undo that to have it back")
     if item.is_deleted is not None or waiting.holds(item.stop.key):
-        return _lost(name, Message("is in the round already"))
+        raise UploadError("is in the round already")
     refuse_taken(store, item.stop)
     stop = capture.stop
     for other in queued:
         is_there = replace(other.stop, step=stop.step) == stop
         if is_there and other.load().intrinsics == capture.intrinsics:
-            return _lost(name, Message("another photo of this camera waits at its place"))
+            raise UploadError("another photo of this camera waits at its place")
     waiting.put(capture, item.stop.key, home, time.time())
     template = "{words} (row {row}, {side}, {position:.2f} m)"
     if home != round_key:
@@ -338,8 +334,7 @@ def _kept(
         )
     parts = {"row": stop.row or "?", "side": Message(stop.side or "")}
     at_m = stop.position_m or 0.0
-    words = Message(template, words=Message("saved"), position=at_m, **parts)
-    return UploadOutcome(name=name, saved=True, words=words)
+    return Message(template, words=Message("saved"), position=at_m, **parts)
 
 
 def _opened(source: AcceptedSource, reading: ReadOptions, camera: str) -> CaptureSource:

@@ -30,3 +30,13 @@ def table(run: Path) -> Path:
     path = run / "truth.csv"
     path.write_text("\r\n".join(lines), encoding="utf-8-sig")
     return path
+
+
+HEAD = "capture,fruit,length_cm,kind"
+
+
+def write(folder: Path, *lines: str) -> Path:
+    """Write a table of manual lengths."""
+    path = folder / "truth.csv"
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from cucumbervision.accuracy.statistics import (
-    ReportColumn,
     ReportTable,
+    cell_text,
     estimate,
     percent_errors,
     resample_weights,
@@ -108,7 +108,7 @@ def test_truth_must_be_a_length(truth: list[float]) -> None:
     ],
 )
 def test_a_cell_as_text(cell: float | str | None, text: str) -> None:
-    assert ReportColumn("a").show(cell) == text
+    assert cell_text(cell) == text
 
 
 def test_json_keeps_every_digit_and_text_does_not() -> None:

@@ -14,10 +14,9 @@ import numpy as np
 import pytest
 
 from cucumbervision.capture.frames import Capture, Stop
-from cucumbervision.capture.intrinsics import Intrinsics
+from cucumbervision.capture.intrinsics import Distortion, Intrinsics
 from cucumbervision.capture.readers.native import write_native
 from cucumbervision.capture.uploads import AcceptedUploads, Limits, accept_uploads
-from cucumbervision.tube.camera import Distortion
 
 CAMERA = Intrinsics(64, 48, 60.0, 60.0, 31.5, 23.5)
 INTRINSICS = {"stream": "color", "width": 64, "height": 48, "fx": 60, "fy": 60, "cx": 31, "cy": 23}

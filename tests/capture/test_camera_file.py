@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from cucumbervision.capture.camera_file import read_camera_file
-from cucumbervision.capture.intrinsics import Intrinsics, Stream
-from cucumbervision.errors import CaptureError, IntrinsicsError
-from cucumbervision.tube.camera import Distortion
+from cucumbervision.capture.intrinsics import Distortion, Intrinsics, Stream
+from cucumbervision.capture.readers.common import choose_intrinsics
+from cucumbervision.errors import CaptureError, DepthError, IntrinsicsError
 
 OURS = {
     "stream": "color",
@@ -145,3 +145,157 @@ def test_what_is_refused(data: Any, words: str, tmp_path: Path) -> None:
 def test_what_is_no_json(text: str, words: str, tmp_path: Path) -> None:
     with pytest.raises(CaptureError, match=rf"k\.json: .*{words}"):
         read_camera_file(write(tmp_path, text))
+
+
+ROWS = [60.5, 0.0, 31.5, 0.0, 60.25, 24.5, 0.0, 0.0, 1.0]
+LENS = [0.1, -0.05, 0.001, -0.002, 0.01]
+SIZE = {"width": 64, "height": 48}
+ROS = f"""header:
+  frame_id: camera_color_optical_frame
+height: 48
+width: 64
+distortion_model: plumb_bob
+D: {LENS}
+K: {ROWS}
+"""
+ROS_CALIBRATION = f"""image_width: 64
+image_height: 48
+camera_name: head
+camera_matrix: {{rows: 3, cols: 3, data: {ROWS}}}
+distortion_model: plumb_bob
+distortion_coefficients: {{rows: 1, cols: 5, data: {LENS}}}
+"""
+REALSENSE = {**SIZE, "fx": 60.5, "fy": 60.25, "ppx": 31.5, "ppy": 24.5, "coeffs": LENS}
+REALSENSE |= {"model": "distortion.brown_conrady", "stream": "color"}
+TEXTS = {
+    "message.yaml": ROS,
+    "message.json": json.dumps({**SIZE, "K": ROWS, "D": LENS}),
+    "ost.yaml": ROS_CALIBRATION,
+    "realsense.json": json.dumps(REALSENSE),
+    "color_intrinsics.json": json.dumps({k: v for k, v in REALSENSE.items() if k != "stream"}),
+    "color.txt": f"[ 64x48  p[31.5 24.5]  f[60.5 60.25]  Brown Conrady {LENS} ]".replace(",", ""),
+    "streams.json": json.dumps(
+        {
+            "color": {k: v for k, v in REALSENSE.items() if k != "stream"},
+            "depth": {**REALSENSE, "fx": 40.0, "fy": 40.0},
+            "depth_scale": 0.001,
+        }
+    ),
+    "cam_K.txt": "60.5 0 31.5\n0 60.25 24.5\n0 0 1\n",
+    "intrinsic_color.txt": "60.5 0 31.5 0\n0 60.25 24.5 0\n0 0 1 0\n0 0 0 1\n",
+    "matrix.json": json.dumps([ROWS[:3], ROWS[3:6], ROWS[6:]]),
+    "commas.txt": "60.5, 0, 31.5, 0, 60.25, 24.5, 0, 0, 1",
+}
+UNSIZED = {"cam_K.txt", "intrinsic_color.txt", "matrix.json", "commas.txt"}
+
+
+def read(path: Path, text: str) -> Any:
+    path.write_text(text)
+    return read_camera_file(path)
+
+
+@pytest.mark.parametrize("name", TEXTS)
+def test_each_is_the_same_camera(name: str, tmp_path: Path) -> None:
+    found = read(tmp_path / name, TEXTS[name])
+    camera = found.intrinsics
+    assert (camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px) == (60.5, 60.25, 31.5, 24.5)
+    assert camera.stream is Stream.COLOR
+    assert found.is_sized == (name not in UNSIZED)
+    if found.is_sized:
+        assert camera.size == (64, 48)
+    if str(LENS[3]) in TEXTS[name]:
+        assert camera.distortion is Distortion.BROWN_CONRADY
+        assert list(camera.coefficients) == LENS
+
+
+def test_a_matrix_in_a_file_of_numpy(tmp_path: Path) -> None:
+    np.save(tmp_path / "K.npy", np.array(ROWS).reshape(3, 3))
+    camera = read_camera_file(tmp_path / "K.npy").intrinsics
+    assert (camera.fx_px, camera.cy_px) == (60.5, 24.5)
+    np.save(tmp_path / "names.npy", np.array(["a"] * 9))
+    with pytest.raises(DepthError, match=r"names\.npy: holds no numbers"):
+        read_camera_file(tmp_path / "names.npy")
+
+
+def test_the_unit_of_depth_comes_with_the_streams(tmp_path: Path) -> None:
+    assert read(tmp_path / "streams.json", TEXTS["streams.json"]).depth_unit_m == 0.001
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "program"),
+    [
+        (
+            "camera.json",
+            json.dumps({**SIZE, "fx": 1, "fy": 1, "cx": 1, "cy": 1, "depth_scale": 1}),
+            "BOP",
+        ),
+        ("open3d.json", json.dumps({"intrinsic": {"intrinsic_matrix": ROWS}}), "Open3D"),
+        ("transforms.json", '{"fl_x": 60.5}', "nerfstudio"),
+        ("camchain.yaml", "cam0: {camera_model: pinhole}", "Kalibr"),
+        ("slam.yaml", "%YAML:1.0\nCamera.fx: 60.5\n", "ORB-SLAM"),
+        ("camera.xml", "<opencv_storage/>", "OpenCV"),
+        ("cameras.txt", "1 PINHOLE 64 48 60.5 60.25 32.0 25.0\n", "COLMAP"),
+    ],
+)
+def test_files_of_other_programs_are_refused_by_their_name(
+    name: str, text: str, program: str, tmp_path: Path
+) -> None:
+    with pytest.raises(IntrinsicsError, match=rf"is a camera file of {program}; .*plugins\.py"):
+        read(tmp_path / name, text)
+
+
+def test_a_region_of_interest_and_binning_are_taken_out_of_the_matrix(tmp_path: Path) -> None:
+    region = "binning_x: 2\nbinning_y: 2\nroi: {x_offset: 8, y_offset: 4, width: 40, height: 32}\n"
+    camera = read(tmp_path / "message.yaml", ROS + region).intrinsics
+    assert camera.size == (20, 16)
+    # The middle of pixel 31.5 lies 24 px right of the region's edge: 12 px of twice the size.
+    assert (camera.fx_px, camera.cx_px, camera.cy_px) == (30.25, 11.5, 10.0)
+
+
+@pytest.mark.parametrize(
+    ("source", "fx_px"), [("image_rect/1.png", 55.0), ("image_raw/1.png", 60.5), ("1.png", None)]
+)
+def test_rectified_pictures_have_p_and_raw_ones_k(
+    source: str, fx_px: float | None, tmp_path: Path
+) -> None:
+    p = "P: [55.0, 0, 31.5, 0, 0, 55.0, 24.5, 0, 0, 0, 1, 0]\n"
+    found = read(tmp_path / "message.yaml", ROS + p)
+    if fx_px is None:
+        with pytest.raises(IntrinsicsError, match=r"P has fx 55 px .*K 60\.5 px .*no name tells"):
+            choose_intrinsics(None, found, 64, 48, source=source)
+        return
+    camera = choose_intrinsics(None, found, 64, 48, source=source)
+    assert camera.fx_px == fx_px
+    assert any(camera.coefficients) == (fx_px == 60.5)
+
+
+@pytest.mark.parametrize("name", ["depth_camera.yaml", "infra1.yaml", "ir.yaml"])
+def test_a_name_may_say_that_it_is_not_the_colour_camera(name: str, tmp_path: Path) -> None:
+    text = ROS.replace("camera_color_optical_frame", "")
+    assert read(tmp_path / name, text).intrinsics.stream is Stream.DEPTH
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "words"),
+    [
+        ("a.yaml", ROS.replace("plumb_bob", "equidistant"), "another than plumb_bob"),
+        ("a.yaml", ROS.replace("0.01]", "0.01, 0.2, 0.0, 0.0]"), "more than five coefficients"),
+        ("a.yaml", ROS.replace("plumb_bob", "equidistant").replace(str(LENS), "[]"), "another"),
+        ("a.yaml", "K: &a [*a, *a]", "has anchors"),
+        ("a.yaml", "K: [", "is damaged"),
+        ("a.txt", "60 0 31", "camera matrix is not"),
+        ("a.txt", "sixty", "is damaged"),
+        ("a.txt", "60 0 inf 0 60 24 0 0 1", "camera matrix is not"),
+        ("a.json", json.dumps({**SIZE, "K": "x"}), "is damaged"),
+        (
+            "a.json",
+            json.dumps({k: v for k, v in REALSENSE.items() if k != "stream"}),
+            "does not say which stream",
+        ),
+    ],
+)
+def test_what_other_programs_write_is_refused(
+    name: str, text: str, words: str, tmp_path: Path
+) -> None:
+    with pytest.raises(IntrinsicsError, match=rf"{name}: .*{words}"):
+        read(tmp_path / name, text)

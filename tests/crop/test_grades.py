@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,11 +26,15 @@ SOUND = GradingTraits(
 )
 
 
-def sure(centreline_m: float, half: float) -> GradingTraits:
-    interval = centreline_m / (1 + half), centreline_m * (1 + half)
+def known(value_m: float, low_m: float, high_m: float, **traits: Any) -> GradingTraits:
+    """The traits of a fruit whose centreline lies in an interval."""
     kind = LengthDefinition.CENTRELINE
-    length = Length(centreline_m, kind, *interval, interval_of=kind)
-    return replace(SOUND, centreline_m=centreline_m, length=length)
+    length = Length(value_m, kind, low_m, high_m, interval_of=kind)
+    return replace(SOUND, centreline_m=value_m, length=length, **traits)
+
+
+def sure(centreline_m: float, half: float) -> GradingTraits:
+    return known(centreline_m, centreline_m / (1 + half), centreline_m * (1 + half))
 
 
 @pytest.mark.parametrize(
@@ -120,11 +125,9 @@ def test_a_fruit_whose_interval_spans_several_classes_is_undecided(
     ends_cm: tuple[float, float], words: str, possible: tuple[str, ...]
 ) -> None:
     low_m, high_m = ends_cm[0] / 100, ends_cm[1] / 100
-    kind = LengthDefinition.CENTRELINE
     # Wherever in its interval the length itself lies.
     for value_m in (low_m, (low_m + high_m) / 2, high_m - 1e-3):
-        length = Length(value_m, kind, low_m, high_m, interval_of=kind)
-        graded = grade(replace(SOUND, centreline_m=value_m, length=length), LONG)
+        graded = grade(known(value_m, low_m, high_m), LONG)
         assert (graded.words, graded.possible) == (words, possible)
         decided = GradeStatus.NO_CLASS if words.startswith("too") else GradeStatus.IN_CLASS
         assert graded.verdict is (decided if len(possible) == 1 else GradeStatus.UNDECIDED)
@@ -137,9 +140,8 @@ def test_a_fruit_whose_interval_spans_several_classes_is_undecided(
 )
 def test_a_lower_bound_is_never_too_short(flag: Flag, length_cm: float, words: str) -> None:
     """Not even where the model of intervals puts the whole fruit's length into one class."""
-    kind, value_m = LengthDefinition.CENTRELINE, length_cm / 100
-    length = Length(value_m, kind, 1.16 * value_m, 1.17 * value_m, interval_of=kind)
-    traits = replace(SOUND, centreline_m=value_m, length=length, flags=f"ends-unsure {flag}")
+    value_m = length_cm / 100
+    traits = known(value_m, 1.16 * value_m, 1.17 * value_m, flags=f"ends-unsure {flag}")
     for profile in (LONG, STRICT):
         # Nor is what is seen of it too light or too thin.
         graded = grade(replace(traits, volume_m3=1e-4, diameter_max_m=0.02), profile)
@@ -159,12 +161,11 @@ def test_an_uncertain_length_decides_nothing() -> None:
 
 @pytest.mark.parametrize("flag", sorted(NO_DEPTH))
 def test_depth_that_is_not_the_fruits_distance_decides_nothing(flag: str) -> None:
-    kind = LengthDefinition.CENTRELINE
-    length = Length(0.30, kind, 0.295, 0.305, interval_of=kind)
-    graded = grade(replace(SOUND, length=length, flags=f"ends-unsure {flag}"), LONG)
+    fruit = known(0.30, 0.295, 0.305, flags=f"ends-unsure {flag}")
+    graded = grade(fruit, LONG)
     assert (graded.name, graded.possible, graded.probabilities) == ("undecided", ALL, {})
     assert graded.words == "undecided (the length is uncertain)"
-    assert grade(replace(SOUND, length=length, flags="ends-unsure"), LONG).name == "I"
+    assert grade(replace(fruit, flags="ends-unsure"), LONG).name == "I"
 
 
 @pytest.mark.parametrize(
@@ -282,17 +283,10 @@ def test_row_of_a_table_is_read_with_its_calibration() -> None:
     assert "centreline length 26.0 cm" in graded.rules[0]  # the calibrated one
 
 
-def test_ends_and_median_are_the_intervals_quantiles() -> None:
-    length = Length(0.25, low_m=0.24, high_m=0.28)
-    np.testing.assert_allclose(
-        share_below(length, [0.24, 0.25, 0.28]), [0.05, 0.5, 0.95], atol=1e-5
-    )
-
-
 def test_ends_of_the_interval_are_quantiles_and_one_without_width_is_a_step() -> None:
     """Of a length at an end of its interval the median is the geometric middle."""
-    length = Length(0.25, low_m=0.25, high_m=0.26)
-    limits = [0.25, np.sqrt(0.25 * 0.26), 0.26]
-    np.testing.assert_allclose(share_below(length, limits), [0.05, 0.5, 0.95], atol=1e-5)
+    for low_m, middle_m, high_m in ((0.24, 0.25, 0.28), (0.25, np.sqrt(0.25 * 0.26), 0.26)):
+        shares = share_below(Length(0.25, low_m=low_m, high_m=high_m), [low_m, middle_m, high_m])
+        np.testing.assert_allclose(shares, [0.05, 0.5, 0.95], atol=1e-5)
     exact = Length(0.25, low_m=0.25, high_m=0.25)
     assert share_below(exact, [0.2499, 0.25, 0.2501]).tolist() == [0.0, 0.0, 1.0]

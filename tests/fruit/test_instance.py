@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from cucumbervision.arrays import Array
 from cucumbervision.fruit.instance import (
     Instance,
     merge_instances,
@@ -29,7 +30,7 @@ def bar(u: float, v: float, length_px: float, width_px: float, turn_deg: float =
     return np.asarray((np.abs(along) <= length_px / 2) & (np.abs(across) <= width_px / 2))
 
 
-def found(mask: Mask, score: float, keypoints: NDArray[np.float64] | None = None) -> Instance:
+def found(mask: Mask, score: float, keypoints: Array | None = None) -> Instance:
     return Instance(box_of_mask(mask), score, detector_mask=mask, keypoints=keypoints)
 
 

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import cv2
 import numpy as np
@@ -9,8 +8,8 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
-from numpy.typing import NDArray
 
+from cucumbervision.arrays import Mask, Numbers
 from cucumbervision.errors import InstancesError
 from cucumbervision.fruit.instance import Instance
 from cucumbervision.fruit.mask_codes import Rle, decode_rle, encode_rle
@@ -22,6 +21,8 @@ from cucumbervision.fruit.masks import (
     is_box_mask,
     mask_iou,
     mask_window,
+    share_inside,
+    suppress,
     without_flower,
     without_spurs,
 )
@@ -31,7 +32,7 @@ MASKS = arrays(bool, array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=4
 
 @settings(deadline=None, max_examples=80)
 @given(MASKS)
-def test_what_is_written_reads_back(mask: NDArray[np.bool_]) -> None:
+def test_what_is_written_reads_back(mask: Mask) -> None:
     code = Rle.of(mask)
     assert np.array_equal(code.decode(), mask)
     assert code.area_px == mask.sum()
@@ -93,7 +94,7 @@ def test_runs_that_do_not_fill_the_picture(counts: str | list[int]) -> None:
 
 @settings(deadline=None, max_examples=80)
 @given(MASKS, st.integers(0, 3))
-def test_a_window_holds_every_pixel_and_no_empty_edge(mask: NDArray[np.bool_], margin: int) -> None:
+def test_a_window_holds_every_pixel_and_no_empty_edge(mask: Mask, margin: int) -> None:
     window = mask_window(mask)
     if window is None:
         assert not mask.any()
@@ -115,13 +116,13 @@ def _edges(window: slice) -> tuple[int, int]:
     return window.start, window.stop
 
 
-def strips(*spans: tuple[int, int]) -> list[NDArray[np.bool_]]:
+def strips(*spans: tuple[int, int]) -> list[Mask]:
     """One row's masks from column to column."""
     columns = np.arange(20)[None]
     return [(columns >= start) & (columns < stop) for start, stop in spans]
 
 
-def widths(masks: Sequence[NDArray[np.bool_] | None]) -> list[int]:
+def widths(masks: Sequence[Mask | None]) -> list[int]:
     return [int(mask.sum()) for mask in masks if mask is not None]
 
 
@@ -204,7 +205,7 @@ def test_any_mask_of_yes_and_no_is_taken(dtype: str, yes: float) -> None:
         (np.array([[0.0, np.nan, 1.0]]), "beside 0"),
     ],
 )
-def test_what_is_no_mask_is_refused(mask: NDArray[Any], fault: str) -> None:
+def test_what_is_no_mask_is_refused(mask: Numbers, fault: str) -> None:
     with pytest.raises(InstancesError, match=fault):
         Instance(np.array([0.0, 0, 2, 1]), mask=mask)
 
@@ -278,3 +279,34 @@ def test_a_stem_beside_a_fruit_leaves_its_outline_and_both_halves_of_a_crossed_o
     assert outline[:, :110].any()
     assert outline[:, 130:].any()
     assert not without_spurs(np.zeros((9, 9), bool)).any()
+
+
+def test_the_best_region_counts() -> None:
+    # A quarter in the first, half in the second: they are not added.
+    regions = np.array([[0.0, 0, 1, 1], [2.0, 0, 4, 1]])
+    assert share_inside(np.array([[0.0, 0, 4, 1]]), regions).tolist() == [0.5]
+
+
+def one_class(boxes: list[list[float]], iou: float = 0.7) -> list[int]:
+    """The boxes that are left, given best first."""
+    scores = np.linspace(0.9, 0.5, len(boxes))
+    kept = suppress(np.array(boxes, np.float32), scores, np.zeros(len(boxes), int), iou)
+    return [int(k) for k in kept]
+
+
+def test_suppression_threshold_is_exclusive() -> None:
+    # Widths 10 and 7 within each other overlap by exactly 0.7: both stay. 7.5 goes.
+    assert one_class([[0, 0, 10, 1], [0, 0, 7, 1]]) == [0, 1]
+    assert one_class([[0, 0, 10, 1], [0, 0, 7.5, 1]]) == [0]
+
+
+def test_a_dropped_box_drops_no_other() -> None:
+    # The second goes because of the first; the third overlaps only the second enough.
+    assert one_class([[0, 0, 10, 1], [1.5, 0, 11.5, 1], [3, 0, 13, 1]]) == [0, 2]
+
+
+def test_classes_do_not_suppress_each_other_even_left_of_the_picture() -> None:
+    # Shifted by the picture's width, the second would lie on the first.
+    boxes = np.array([[90.0, 0, 100, 10], [-11, 0, -1, 10], [90, 0, 100, 10]])
+    kept = suppress(boxes, np.array([0.9, 0.8, 0.7]), np.array([0, 1, 1]), 0.5)
+    assert kept.tolist() == [0, 1, 2]

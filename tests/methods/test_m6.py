@@ -220,7 +220,7 @@ def test_specks_beside_the_mask_are_left_out(camera: Intrinsics) -> None:
 
 
 def test_lens_distortion_counts(camera: Intrinsics) -> None:
-    from cucumbervision.tube.camera import Distortion
+    from cucumbervision.capture.intrinsics import Distortion
 
     bent = replace(
         camera,

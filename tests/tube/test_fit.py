@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from cucumbervision.arrays import Array
 from cucumbervision.tube.evidence import Evidence
 from cucumbervision.tube.fit import fit_shape, guess_shape, near_depths, stepped
 from cucumbervision.tube.shape import TubeShape, shape_from_curve
@@ -16,14 +16,14 @@ def body() -> TubeShape:
     return shape_from_curve(np.stack([x, 0 * x, 0 * x + FAR], axis=1), RADIUS)
 
 
-def surface(count: int = 40) -> NDArray[np.float64]:
+def surface(count: int = 40) -> Array:
     grid = np.meshgrid(np.linspace(-LONG / 2, LONG / 2, count), np.linspace(-0.9, 0.9, 15))
     x, across = (m.ravel() for m in grid)
     z = FAR - RADIUS * np.sqrt(1 - across**2)
     return np.stack([x, RADIUS * across, z], axis=1)
 
 
-def tangent_rays(count: int = 60) -> NDArray[np.float64]:
+def tangent_rays(count: int = 60) -> Array:
     """Rays that just touch the body: beside its sides, and round its ends' balls."""
     rays = []
     sine = RADIUS / FAR
@@ -46,7 +46,7 @@ def tangent_rays(count: int = 60) -> NDArray[np.float64]:
     return np.asarray(stacked / np.linalg.norm(stacked, axis=1)[:, None])
 
 
-def evidence(points: NDArray[np.float64], rays: NDArray[np.float64]) -> Evidence:
+def evidence(points: Array, rays: Array) -> Evidence:
     return Evidence(points, np.full(len(points), 1e-3), rays, 7e-4, 1e-3, 0.5, 0.5)
 
 
@@ -65,11 +65,11 @@ def test_a_step_beyond_the_bodys_width_is_shortened() -> None:
     limit = 0.6 * RADIUS + 0.002
     move = np.zeros(shape.bend_m.size + shape.width_m.size)
     move[0] = 10 * limit
-    after, taken = stepped(shape, move, move.size)
+    after, taken = stepped(shape, move)
     assert taken[0] == pytest.approx(limit)
     assert after.bend_m[0, 0] - shape.bend_m[0, 0] == pytest.approx(limit)
     move[0] = 0.9 * limit
-    assert stepped(shape, move, move.size)[1][0] == pytest.approx(0.9 * limit)
+    assert stepped(shape, move)[1][0] == pytest.approx(0.9 * limit)
 
 
 def test_flying_pixels_and_stray_outline_have_little_say() -> None:

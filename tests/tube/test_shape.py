@@ -2,14 +2,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
-from scipy.interpolate import BSpline
 
+from cucumbervision.arrays import Array
 from cucumbervision.tube.shape import (
     arc_positions,
     axis_path,
+    bases,
     bending_direction,
-    cubic_basis,
     depth_gate,
     inner_arc_height,
     natural_spline,
@@ -21,26 +20,12 @@ from cucumbervision.tube.shape import (
 from cucumbervision_lab.scenes.bodies import arc_tube
 
 
-@pytest.mark.parametrize("segments", [1, 4, 12])
-def test_weights_sum_to_one_and_are_never_negative(segments: int) -> None:
-    basis = cubic_basis(np.linspace(0, 1, 101), segments)
-    assert basis.shape == (101, segments + 3)
-    np.testing.assert_allclose(basis.sum(axis=1), 1)
-    assert basis.min() >= 0
-
-
-@pytest.mark.parametrize("segments", [1, 4, 12])
-def test_weights_are_scipys_to_the_last_bit(segments: int) -> None:
-    places = np.concatenate([np.linspace(0, 1, 64), [1 / 3, 0.25]])
-    knots = np.arange(-3, segments + 4) / segments
-    expected = BSpline.design_matrix(places, knots, 3).toarray()
-    assert np.array_equal(cubic_basis(places, segments), expected)
-
-
 def test_evenly_spaced_controls_make_a_straight_line() -> None:
-    t = np.linspace(0, 1, 33)
-    controls = np.arange(7) - 1.0  # a spline of four segments: its ends lie one control in
-    np.testing.assert_allclose(cubic_basis(t, 4) @ controls, 4 * t, atol=1e-12)
+    # Of a spline of four segments, whose ends lie one control point in.
+    bend, width = bases(33)
+    np.testing.assert_allclose(bend @ (np.arange(7) - 1.0), 4 * np.linspace(0, 1, 33), atol=1e-12)
+    np.testing.assert_allclose(width.sum(axis=1), 1)
+    assert min(bend.min(), width.min()) >= 0
 
 
 def test_a_helix_has_its_analytic_length() -> None:
@@ -92,7 +77,7 @@ def test_the_gate_keeps_its_own_border() -> None:
     assert depth_gate(points, 0.2499)[:, 2].tolist() == [0.5]
 
 
-def straight(long_m: float, radii: NDArray[np.float64]) -> NDArray[np.float64]:
+def straight(long_m: float, radii: Array) -> Array:
     x = np.linspace(0, long_m, len(radii))
     return np.stack([x, 0 * x, 0 * x + 0.5], axis=1)
 

@@ -30,8 +30,9 @@ from cucumbervision.names import checked_name
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
+    from cucumbervision.arrays import Array
     from cucumbervision.capture.intrinsics import Intrinsics
 
 
@@ -51,7 +52,7 @@ class Form(StrEnum):
     SCALE_OFFSET = "scale+offset"
 
 
-def corrected(raw_m: ArrayLike, scale: float, offset_m: float) -> NDArray[np.float64]:
+def corrected(raw_m: ArrayLike, scale: float, offset_m: float) -> Array:
     """Apply a correction.
 
     Examples

@@ -12,9 +12,9 @@ from cucumbervision.capture.frames import valid_depth
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
     from scipy.spatial import cKDTree
 
+    from cucumbervision.arrays import Array, Array32, Pixels
     from cucumbervision.capture.frames import Capture
     from cucumbervision.capture.intrinsics import Intrinsics
 
@@ -42,19 +42,19 @@ class GridFit:
         Median ratio of measured to true depth of each picture.
     """
 
-    coefficients: NDArray[np.float64]
+    coefficients: Array
     residual_px: float
-    ratios: NDArray[np.float64]
+    ratios: Array
 
 
 @dataclass(frozen=True, eq=False)
 class _GridPicture:
     """Candidate crossings in one picture, and the initial grid cells."""
 
-    crossings_px: NDArray[np.float64]
-    cells: NDArray[np.float64]
-    pixels: NDArray[np.float64]
-    depth_m: NDArray[np.float32]
+    crossings_px: Array
+    cells: Array
+    pixels: Array
+    depth_m: Array32
 
 
 def fit_grid(captures: Sequence[Capture], spacing_m: float) -> GridFit | None:
@@ -102,43 +102,35 @@ def _fitted(
         | cv2.CALIB_FIX_FOCAL_LENGTH
         | cv2.CALIB_FIX_K3
     )
-    poses = [_pose(grid, camera.matrix) for grid in grids]
-    cells = [grid.cells for grid in grids]
+    found = [(grid, grid.cells, _pose(grid, camera.matrix)) for grid in grids]
     for error in _MATCH_ERROR:
-        matched = [
-            _matched(grid, grid_cells, pose, camera.matrix, lens, error)
-            for grid, grid_cells, pose in zip(grids, cells, poses, strict=True)
-        ]
-        usable = [
-            k for k, (crossings, _) in enumerate(matched) if len(crossings) >= LEAST_CROSSINGS
-        ]
-        if not usable:
-            return None, []
-        grids, matched = [grids[k] for k in usable], [matched[k] for k in usable]
-        cells, pixels = (
-            [grid_cells for grid_cells, _ in matched],
-            [grid_pixels for _, grid_pixels in matched],
+        every = (
+            (grid, *_matched(grid, cells, pose, camera.matrix, lens, error))
+            for grid, cells, pose in found
         )
+        matched = [grid for grid in every if len(grid[1]) >= LEAST_CROSSINGS]
+        if not matched:
+            return None, []
         _, _, coefficients, turns, shifts, *_ = cv2.calibrateCameraExtended(
-            [_flat(grid_cells).astype(np.float32) for grid_cells in cells],
-            [grid_pixels.astype(np.float32).reshape(-1, 1, 2) for grid_pixels in pixels],
+            [_flat(cells).astype(np.float32) for _, cells, _ in matched],
+            [pixels.astype(np.float32).reshape(-1, 1, 2) for _, _, pixels in matched],
             camera.size,
             camera.matrix,
             np.zeros(5),
             flags=flags,
         )
         lens = np.asarray(coefficients, float).ravel()[:5]
-        poses = [
-            (np.asarray(turn, float), np.asarray(shift, float))
-            for turn, shift in zip(turns, shifts, strict=True)
+        found = [
+            (grid, cells, (np.asarray(turn, float), np.asarray(shift, float)))
+            for (grid, cells, _), turn, shift in zip(matched, turns, shifts, strict=True)
         ]
     off, ratios = [], []
-    for grid, grid_cells, px, pose in zip(grids, cells, pixels, poses, strict=True):
-        off.append(np.linalg.norm(_projected(grid_cells, pose, camera.matrix, lens) - px, axis=1))
-        ratios.append(
-            float(np.nanmedian(_depth_ratios(grid.depth_m, grid_cells, px, pose))) / spacing_m
-        )
-    return GridFit(lens, float(np.median(np.concatenate(off))), np.array(ratios)), grids
+    for (grid, cells, px), (_, _, pose) in zip(matched, found, strict=True):
+        off.append(np.linalg.norm(_projected(cells, pose, camera.matrix, lens) - px, axis=1))
+        read = _depth_ratios(grid.depth_m, cells, px, pose)
+        ratios.append(float(np.nanmedian(read)) / spacing_m)
+    fit = GridFit(lens, float(np.median(np.concatenate(off))), np.array(ratios))
+    return fit, [grid for grid, _, _ in matched]
 
 
 def _find_grid(capture: Capture) -> _GridPicture | None:
@@ -159,9 +151,8 @@ def _find_grid(capture: Capture) -> _GridPicture | None:
         done.update(lattice.values())
         cells, pixels = np.array(list(lattice), float), peaks[list(lattice.values())]
         homography, inside = cv2.findHomography(cells, pixels, cv2.RANSAC, _HOMOGRAPHY_ERROR_PX)
-        if np.size(homography) != 9 or not _is_square(
-            np.asarray(homography, float), capture.intrinsics
-        ):
+        plane = np.asarray(homography, float)
+        if plane.size != 9 or not _is_square(plane, capture.intrinsics):
             continue
         fits = np.asarray(inside).ravel() > 0
         if fits.sum() > max(best[0], _LEAST_SEED):
@@ -174,7 +165,7 @@ def _find_grid(capture: Capture) -> _GridPicture | None:
     return _GridPicture(refined.reshape(-1, 2), best[1], best[2], capture.depth_m)
 
 
-def _crossing_peaks(gray: NDArray[np.uint8]) -> NDArray[np.float64]:
+def _crossing_peaks(gray: Pixels) -> Array:
     """Return candidate crossings of thin bright or dark lines, in whole pixels.
 
     At a crossing, the second derivative of brightness is large in every direction; on a line, only
@@ -198,7 +189,7 @@ def _crossing_peaks(gray: NDArray[np.uint8]) -> NDArray[np.float64]:
     return np.stack([u, v], axis=1).astype(np.float64)
 
 
-def _lattice(peaks: NDArray[np.float64], tree: cKDTree, first: int) -> dict[tuple[int, int], int]:
+def _lattice(peaks: Array, tree: cKDTree, first: int) -> dict[tuple[int, int], int]:
     """Return the peaks connected to the first one by nearly constant steps, by grid cell."""
     reaches, neighbours = (np.asarray(column) for column in tree.query(peaks[first], k=9))
     ways = [
@@ -208,12 +199,9 @@ def _lattice(peaks: NDArray[np.float64], tree: cKDTree, first: int) -> dict[tupl
     ]
     if not ways:
         return {}
-    across = [
-        w
-        for w in ways[1:]
-        if abs(float(ways[0][0] * w[1] - ways[0][1] * w[0]))
-        > 0.5 * float(np.linalg.norm(ways[0]) * np.linalg.norm(w))
-    ]
+    areas = [abs(float(ways[0][0] * w[1] - ways[0][1] * w[0])) for w in ways]
+    sides = [float(np.linalg.norm(ways[0]) * np.linalg.norm(w)) for w in ways]
+    across = [w for w, area, of in zip(ways, areas, sides, strict=True) if area > 0.5 * of]
     if not across:
         return {}
     indices, steps = {(0, 0): first}, {(0, 0): (ways[0], across[0])}
@@ -235,52 +223,42 @@ def _lattice(peaks: NDArray[np.float64], tree: cKDTree, first: int) -> dict[tupl
     return indices
 
 
-def _is_square(homography: NDArray[np.float64], camera: Intrinsics) -> bool:
+def _is_square(homography: Array, camera: Intrinsics) -> bool:
     sides = (np.linalg.inv(camera.matrix) @ homography)[:, :2]
     lengths = np.linalg.norm(sides, axis=0)
     cosine = abs(float(sides[:, 0] @ sides[:, 1])) / float(lengths[0] * lengths[1])
     return abs(float(lengths[0] / lengths[1]) - 1) < _SQUARE_ERROR and cosine < _SQUARE_ERROR
 
 
-def _flat(cells: NDArray[np.float64]) -> NDArray[np.float64]:
+def _flat(cells: Array) -> Array:
     return np.column_stack([cells, np.zeros(len(cells))])
 
 
-_Pose = tuple["NDArray[np.float64]", "NDArray[np.float64]"]
+_Pose = tuple["Array", "Array"]
 
 
-def _pose(seen_grid: _GridPicture, matrix: NDArray[np.float64]) -> _Pose:
+def _pose(seen_grid: _GridPicture, matrix: Array) -> _Pose:
     import cv2
 
     _, turn, shift = cv2.solvePnP(_flat(seen_grid.cells), seen_grid.pixels, matrix, np.zeros(5))
     return np.asarray(turn, float), np.asarray(shift, float)
 
 
-def _projected(
-    cells: NDArray[np.float64], pose: _Pose, matrix: NDArray[np.float64], lens: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _projected(cells: Array, pose: _Pose, matrix: Array, lens: Array) -> Array:
     import cv2
 
     return np.asarray(cv2.projectPoints(_flat(cells), *pose, matrix, lens)[0], float).reshape(-1, 2)
 
 
 def _matched(
-    seen_grid: _GridPicture,
-    cells: NDArray[np.float64],
-    pose: _Pose,
-    matrix: NDArray[np.float64],
-    lens: NDArray[np.float64],
-    error: float,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    seen_grid: _GridPicture, cells: Array, pose: _Pose, matrix: Array, lens: Array, error: float
+) -> tuple[Array, Array]:
     """Return the crossings, as cells and pixels, whose depth agrees with the grid's plane."""
     from scipy.spatial import cKDTree
 
     first_cell, end_cell = cells.min(axis=0) - 3, cells.max(axis=0) + 4
-    grid = (
-        np.stack(np.meshgrid(*map(np.arange, first_cell, end_cell)), axis=-1)
-        .reshape(-1, 2)
-        .astype(np.float64)
-    )
+    axes = np.meshgrid(*map(np.arange, first_cell, end_cell))
+    grid = np.stack(axes, axis=-1).reshape(-1, 2).astype(np.float64)
     expected = _projected(grid, pose, matrix, lens)
     diagonal = np.linalg.norm(_projected(grid + 1, pose, matrix, lens) - expected, axis=1)
     off, nearest = (
@@ -296,12 +274,7 @@ def _matched(
     return grid[is_near][is_crossing], pixels[is_crossing]
 
 
-def _depth_ratios(
-    depth_m: NDArray[np.float32],
-    cells: NDArray[np.float64],
-    pixels: NDArray[np.float64],
-    pose: _Pose,
-) -> NDArray[np.float64]:
+def _depth_ratios(depth_m: Array32, cells: Array, pixels: Array, pose: _Pose) -> Array:
     """Return the ratio of measured depth to that of the pose by cell; NaN with too few readings."""
     import cv2
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -54,8 +54,10 @@ _UNITS = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class MethodScore:
+class MethodScore(Metrics):
     """Accuracy of one method for one definition of length.
+
+    Its metrics are those over all captures; a missing length counts as an error of 100 %.
 
     Parameters
     ----------
@@ -63,8 +65,6 @@ class MethodScore:
         A key of `Reading.lengths_m`.
     kind : LengthDefinition
         Definition of the manual length.
-    metrics : Metrics
-        Metrics over all captures; a missing length counts as an error of 100 %.
     low_percent, high_percent : float
         95 % bootstrap interval of the mean error, resampled by fruit; NaN with less than three
         fruit.
@@ -74,17 +74,9 @@ class MethodScore:
 
     method: str
     kind: LengthDefinition
-    metrics: Metrics
     low_percent: float
     high_percent: float
     fruit: int
-
-    @property
-    def row(self) -> dict[str, Any]:
-        """The row of `scores.csv`."""
-        cells = vars(self) | vars(self.metrics)
-        del cells["metrics"]
-        return cells
 
 
 @dataclass(frozen=True)
@@ -196,16 +188,16 @@ def _score_methods(pairs: Sequence[tuple[TrueLength, Reading]]) -> Iterator[Meth
         ]
         if not chosen:
             continue
-        lengths, truth = np.array([numbers[:2] for numbers in chosen]).T
-        fruit = [specimen for _, _, specimen in chosen]
+        lengths, truth, fruit = zip(*chosen, strict=True)
         error = estimate(percent_errors(lengths, truth), fruit, resamples=10_000)
-        enough = error.groups >= _LEAST_FRUIT
+        if error.groups < _LEAST_FRUIT:
+            error = replace(error, low=math.nan, high=math.nan)
         yield MethodScore(
+            **vars(score(lengths, truth)),
             method=method,
             kind=kind,
-            metrics=score(lengths, truth),
-            low_percent=error.low if enough else math.nan,
-            high_percent=error.high if enough else math.nan,
+            low_percent=error.low,
+            high_percent=error.high,
             fruit=error.groups,
         )
 
@@ -304,7 +296,9 @@ def write_own_truth(evaluation: OwnTruth, out: Path) -> None:
         }
         for length, reading in evaluation.pairs
     ]
-    scores = [score.row for score in evaluation.scores]
+    scores = [
+        {"method": score.method, "kind": score.kind, **vars(score)} for score in evaluation.scores
+    ]
     with wrap_os_errors("cannot be written", out):
         out.mkdir(parents=True, exist_ok=True)
         for name, rows in (("lengths", lengths), ("scores", scores)):
@@ -331,7 +325,7 @@ _SCORES = {
 
 def scores_table(scores: Sequence[MethodScore]) -> ReportTable:
     """Return the errors of each method for each definition of length."""
-    rows = [score.row | {"measured_percent": 100 * score.metrics.measured} for score in scores]
+    rows = [vars(score) | {"measured_percent": 100 * score.measured} for score in scores]
     return ReportTable.of_records("Errors against hand-measured lengths", _SCORES, rows)
 
 
@@ -421,59 +415,40 @@ def read_measured(path: Path) -> Measured:
     CucumberVisionError
         If the file is not the output of a run, or contains no fruit.
     """
-    if path.is_dir():
-        tables = [p for n in ("json", "csv") if (p := path / f"measurements.{n}").exists()]
-        if not tables:
-            raise CucumberVisionError("holds no measurements", source=path, remedy=_REMEDY)
-        path = tables[0]
+    tables = [path / "measurements.json", path / "measurements.csv"] if path.is_dir() else [path]
+    path = next((table for table in tables if table.exists()), path)
     report_path = path.with_suffix(".json")
-    report = _read_report(report_path) if report_path.exists() else {}
     with wrap_reader_errors(path, remedy=_REMEDY):
-        if path.suffix.lower() == ".json":
-            if not report:
-                raise CucumberVisionError("is missing", source=path, remedy=_REMEDY)
-            rows = [row for capture in report["captures"] for row in capture["fruit"]]
-            names = [str(capture["name"]) for capture in report["captures"]]
-        else:
-            table = read_table(path)
-            rows = [_parsed_cells(line.cells) for line in table.lines]
-            names = []
-            if not {"capture", "fruit", "length_cm"} <= set(table.columns):
+        is_report = path == report_path or report_path.exists()
+        report = read_json(report_path, CucumberVisionError, _REMEDY) if is_report else {}
+        captures = report.get("captures", [])
+        names = [str(capture["name"]) for capture in captures]
+        rows = [row for capture in captures for row in capture["fruit"]]
+        if path != report_path:
+            head, lines = read_table(path)
+            names, rows = (
+                [],
+                [
+                    {
+                        k: parse_number(v) if k.endswith(("_cm", "fruit")) else v
+                        for k, v in line.items()
+                    }
+                    for line in lines.values()
+                ],
+            )
+            if not {"capture", "fruit", "length_cm"} <= set(head):
                 raise CucumberVisionError("holds no measurements", source=path, remedy=_REMEDY)
-        ran = _keys_that_ran(rows, report)
+        asked = report.get("config", {}).get("methods", [])
+        ran = [
+            key
+            for key, column in _COLUMNS.items()
+            if key in asked or any(row.get(column) is not None for row in rows)
+        ]
         readings = tuple(_reading(row, ran) for row in rows)
     if not readings:
         raise CucumberVisionError("holds no fruit", source=path, remedy="measure captures first")
-    captures = tuple(dict.fromkeys([*names, *(r.capture for r in readings)]))
-    return Measured(path, readings, captures, report)
-
-
-def _read_report(path: Path) -> dict[str, Any]:
-    report = read_json(path, CucumberVisionError, _REMEDY)
-    captures = report.get("captures") if isinstance(report, dict) else None
-    is_report = isinstance(captures, list) and all(
-        isinstance(c, dict)
-        and {"name", "fruit", "intrinsics"} <= set(c)
-        and isinstance(c["intrinsics"], dict)
-        for c in captures
-    )
-    if not is_report:
-        raise CucumberVisionError("holds no measurements", source=path, remedy=_REMEDY)
-    return dict(report)
-
-
-def _parsed_cells(cells: Mapping[str, str]) -> dict[str, Any]:
-    return {k: parse_number(v) if k.endswith(("_cm", "fruit")) else v for k, v in cells.items()}
-
-
-def _keys_that_ran(rows: Sequence[Mapping[str, Any]], report: Mapping[str, Any]) -> list[str]:
-    """Return the methods that were run, according to the report or because they have lengths."""
-    asked = report.get("config", {}).get("methods", [])
-    return [
-        key
-        for key, column in _COLUMNS.items()
-        if key in asked or any(row.get(column) is not None for row in rows)
-    ]
+    taken = tuple(dict.fromkeys([*names, *(r.capture for r in readings)]))
+    return Measured(path, readings, taken, report)
 
 
 def _reading(row: Mapping[str, Any], ran: Sequence[str]) -> Reading:
@@ -484,17 +459,10 @@ def _reading(row: Mapping[str, Any], ran: Sequence[str]) -> Reading:
         fruit=int(row["fruit"]),
         lengths_m={**lengths, REPORTED: _metres(row.get("length_cm"))},
         fell_back=frozenset(m for m, outcome in methods.items() if outcome.get("fallback")),
-        kind=_word(row, "length_kind"),
-        mask_source=_word(row, "mask_source"),
-        flags=_word(row, "flags"),
+        kind=str(row.get("length_kind") or ""),
+        mask_source=str(row.get("mask_source") or ""),
+        flags=str(row.get("flags") or ""),
     )
-
-
-def _word(row: Mapping[str, Any], name: str) -> str:
-    text = row.get(name) or ""
-    if not isinstance(text, str):
-        raise ValueError(f"{name} is not text")
-    return text
 
 
 def _metres(length_cm: float | None) -> float | None:

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
     from cucumbervision.accuracy.own_truth import Measured, Reading
     from cucumbervision.accuracy.truth import TrueLength, Truth
+    from cucumbervision.arrays import Array, Ints
     from cucumbervision.capture.frames import Capture
 
 
@@ -381,19 +382,17 @@ def conformal_half_width(
     return width if np.isfinite(width) else None
 
 
-def _weights(member: NDArray[np.intp]) -> NDArray[np.float64]:
+def _weights(member: Ints) -> Array:
     return np.asarray(1.0 / np.bincount(member)[member])
 
 
-def _fit(
-    form: Form, raw: NDArray[np.float64], truth: NDArray[np.float64], weights: NDArray[np.float64]
-) -> tuple[float, float]:
+def _fit(form: Form, raw: Array, truth: Array, weights: Array) -> tuple[float, float]:
     if form is Form.NONE:
         return 1.0, 0.0
     columns = [raw / truth] if form is Form.SCALE else [raw / truth, 1 / truth]
     design = np.stack(columns, axis=1)
     trust = np.ones_like(raw)
-    solution: NDArray[np.float64] = np.zeros(len(columns))
+    solution: Array = np.zeros(len(columns))
     for _ in range(_MOST_ITERATIONS):
         root = np.sqrt(weights * trust)
         before = solution
@@ -407,9 +406,7 @@ def _fit(
     return float(solution[0]), float(solution[1]) if form is Form.SCALE_OFFSET else 0.0
 
 
-def _leave_one_out(
-    form: Form, raw: NDArray[np.float64], truth: NDArray[np.float64], member: NDArray[np.intp]
-) -> NDArray[np.float64]:
+def _leave_one_out(form: Form, raw: Array, truth: Array, member: Ints) -> Array:
     weights, predicted = _weights(member), np.empty_like(raw)
     for k in range(int(member.max()) + 1):
         out = member == k
@@ -417,16 +414,7 @@ def _leave_one_out(
     return predicted
 
 
-def _by_fruit(values: NDArray[np.float64], member: NDArray[np.intp]) -> NDArray[np.float64]:
-    return np.asarray(np.bincount(member, values) / np.bincount(member))
-
-
-def _gain(
-    simpler_m: NDArray[np.float64],
-    richer_m: NDArray[np.float64],
-    truth_m: NDArray[np.float64],
-    member: NDArray[np.intp],
-) -> tuple[float, float]:
+def _gain(simpler_m: Array, richer_m: Array, truth_m: Array, member: Ints) -> tuple[float, float]:
     worse = np.abs(simpler_m / truth_m - 1) - np.abs(richer_m / truth_m - 1)
-    gains = 100 * _by_fruit(worse, member)
+    gains = 100 * np.bincount(member, worse) / np.bincount(member)
     return float(gains.mean()), float(gains.std(ddof=1) / np.sqrt(len(gains)))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,7 +14,9 @@ from cucumbervision.files import json_value
 if TYPE_CHECKING:
     from collections.abc import Hashable
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
+
+    from cucumbervision.arrays import Array
 
 
 _FEWEST_GROUPS = 2
@@ -54,7 +56,7 @@ class Metrics:
     bias_percent: float
 
 
-def percent_errors(lengths_m: ArrayLike, truth_m: ArrayLike) -> NDArray[np.float64]:
+def percent_errors(lengths_m: ArrayLike, truth_m: ArrayLike) -> Array:
     """Compute absolute relative errors in percent; 100 for a length of NaN.
 
     Parameters
@@ -93,31 +95,22 @@ def score(lengths_m: ArrayLike, truth_m: ArrayLike) -> Metrics:
     lengths, truth = np.asarray(lengths_m, float), np.asarray(truth_m, float)
     if not truth.size or not (truth > 0).all():
         raise ValueError("true lengths must be positive, and at least one")
-    has_length = np.isfinite(lengths)
-    error_cm = 100 * (np.nan_to_num(lengths) - truth)
-    percent = percent_errors(lengths, truth)
+    is_measured = np.isfinite(lengths)
+    error_cm, percent = 100 * (np.nan_to_num(lengths) - truth), percent_errors(lengths, truth)
+    read, of = lengths[is_measured], truth[is_measured]
     spread = float(((truth - truth.mean()) ** 2).sum())
-    r2 = 1 - float((error_cm**2).sum()) / (1e4 * spread) if spread > 0 else np.nan
-    enough = (
-        has_length.sum() >= 3 and np.ptp(truth[has_length]) > 0 and np.ptp(lengths[has_length]) > 0
-    )
+    is_spread = len(of) >= 3 and np.ptp(of) > 0 and np.ptp(read) > 0
     return Metrics(
-        count=int(truth.size),
-        measured=float(has_length.mean()),
+        count=len(truth),
+        measured=float(is_measured.mean()),
         mae_cm=float(np.abs(error_cm).mean()),
         mape_percent=float(percent.mean()),
         rmse_cm=float(np.sqrt((error_cm**2).mean())),
-        r2=float(r2),
-        pearson_r=float(np.corrcoef(lengths[has_length], truth[has_length])[0, 1])
-        if enough
-        else np.nan,
+        r2=1 - float((error_cm**2).sum()) / (1e4 * spread) if spread > 0 else np.nan,
+        pearson_r=float(np.corrcoef(read, of)[0, 1]) if is_spread else np.nan,
         median_percent=float(np.median(percent)),
         worst_percent=float(percent.max()),
-        bias_percent=(
-            float((100 * (lengths[has_length] / truth[has_length] - 1)).mean())
-            if has_length.any()
-            else np.nan
-        ),
+        bias_percent=float((100 * (read / of - 1)).mean()) if len(of) else np.nan,
     )
 
 
@@ -174,13 +167,13 @@ def estimate(
     """
     data = np.asarray(values, float)
     if not data.size:
-        return Estimate(value=np.nan, low=np.nan, high=np.nan, count=0, groups=0)
+        return Estimate(np.nan, np.nan, np.nan, 0, 0)
     names = range(len(data)) if groups is None else groups
     index = {name: k for k, name in enumerate(dict.fromkeys(names))}
     member = np.array([index[name] for name in names])
     value = float(data.mean() if quantile is None else np.quantile(data, quantile))
     if len(index) < _FEWEST_GROUPS:
-        return Estimate(value=value, low=np.nan, high=np.nan, count=len(data), groups=len(index))
+        return Estimate(value, np.nan, np.nan, len(data), len(index))
     weights = resample_weights(len(index), resamples)
     if quantile is None:
         sums = weights @ np.bincount(member, data, len(index))
@@ -189,14 +182,7 @@ def estimate(
         order = np.argsort(data, kind="stable")
         data, member = data[order], member[order]
         drawn = np.array([_weighted_quantile(data, w[member], quantile) for w in weights])
-    low_value, high_value = np.percentile(drawn, [2.5, 97.5])
-    return Estimate(
-        value=value,
-        low=float(low_value),
-        high=float(high_value),
-        count=len(data),
-        groups=len(index),
-    )
+    return Estimate(value, *np.percentile(drawn, [2.5, 97.5]).tolist(), len(data), len(index))
 
 
 def share(hits: ArrayLike, groups: Sequence[Hashable]) -> Estimate:
@@ -214,19 +200,11 @@ def share(hits: ArrayLike, groups: Sequence[Hashable]) -> Estimate:
     hit_rate = estimate(np.asarray(hits, float), groups)
     if hit_rate.groups < _FEWEST_GROUPS or hit_rate.value not in (0.0, 1.0):
         return hit_rate
-    low_share, high_share = binomial_interval(
-        int(hit_rate.value) * hit_rate.groups, hit_rate.groups
-    )
-    return Estimate(
-        value=hit_rate.value,
-        low=low_share,
-        high=high_share,
-        count=hit_rate.count,
-        groups=hit_rate.groups,
-    )
+    low, high = binomial_interval(int(hit_rate.value) * hit_rate.groups, hit_rate.groups)
+    return replace(hit_rate, low=low, high=high)
 
 
-def resample_weights(groups: int, resamples: int) -> NDArray[np.float64]:
+def resample_weights(groups: int, resamples: int) -> Array:
     """Return the multiplicity of each group in each resample, shape (resamples, groups)."""
     drawn = np.random.default_rng(0).integers(groups, size=(resamples, groups))
     drawn += groups * np.arange(resamples)[:, None]
@@ -234,9 +212,7 @@ def resample_weights(groups: int, resamples: int) -> NDArray[np.float64]:
     return np.asarray(counts.reshape(resamples, groups), float)
 
 
-def _weighted_quantile(
-    data: NDArray[np.float64], weights: NDArray[np.float64], quantile: float
-) -> float:
+def _weighted_quantile(data: Array, weights: Array, quantile: float) -> float:
     """Return the quantile of sorted data with integer weights, as NumPy's linear method."""
     upto = np.cumsum(weights)
     place = quantile * (upto[-1] - 1)
@@ -263,52 +239,26 @@ def binomial_interval(hits: int, count: int) -> tuple[float, float]:
 Cell = str | int | float | bool | None
 
 
-@dataclass(frozen=True)
-class ReportColumn:
-    """A column's heading and number format.
+def cell_text(cell: Cell, form: str = ".2") -> str:
+    """Format a cell as text; an en dash for a missing number.
 
     Parameters
     ----------
-    head : str
-        Heading with unit.
-    decimals : int
-        Number of decimals of floats.
-    signed : bool
-        Whether to show a plus sign.
+    cell : str, int, float, bool or None
+        The cell.
+    form : str
+        Number of decimals of floats, after a plus sign where the sign is always shown.
+
+    Examples
+    --------
+    >>> cell_text(1.26, "+.1"), cell_text(float("nan")), cell_text(True), cell_text(7)
+    ('+1.3', '–', 'yes', '7')
     """
-
-    head: str
-    decimals: int = 2
-    signed: bool = False
-
-    @classmethod
-    def of(cls, head: str) -> ReportColumn:
-        """Create a column from a heading with an optional format suffix.
-
-        Examples
-        --------
-        >>> ReportColumn.of("bias (%):+.1"), ReportColumn.of("fruit").decimals
-        (ReportColumn(head='bias (%)', decimals=1, signed=True), 2)
-        """
-        text, _, form = head.partition(":")
-        return cls(text, int(form[-1]), form[0] == "+") if form else cls(head)
-
-    def show(self, cell: Cell) -> str:
-        """Format a cell as text; an en dash for a missing number.
-
-        Examples
-        --------
-        >>> column = ReportColumn("bias (%)", 1, signed=True)
-        >>> column.show(1.26), column.show(float("nan")), column.show(True), column.show(7)
-        ('+1.3', '–', 'yes', '7')
-        """
-        if cell is None or (isinstance(cell, float) and not math.isfinite(cell)):
-            return "–"
-        if isinstance(cell, bool):
-            return "yes" if cell else "no"
-        if isinstance(cell, float):
-            return f"{cell:{'+' if self.signed else ''}.{self.decimals}f}".replace("-", "−")
-        return str(cell)
+    if cell is None or (isinstance(cell, float) and not math.isfinite(cell)):
+        return "–"
+    if isinstance(cell, bool):
+        return "yes" if cell else "no"
+    return f"{cell:{form}f}".replace("-", "−") if isinstance(cell, float) else str(cell)
 
 
 @dataclass(frozen=True)
@@ -319,8 +269,8 @@ class ReportTable:
     ----------
     title : str
         Title.
-    columns : tuple of ReportColumn
-        Columns.
+    columns : tuple of str
+        Headings with unit, with a number format behind a colon: 'bias (%):+.1' (`cell_text`).
     rows : tuple of tuple
         Rows, each with a cell for every column.
     comment : str
@@ -328,15 +278,15 @@ class ReportTable:
     """
 
     title: str
-    columns: tuple[ReportColumn, ...]
+    columns: tuple[str, ...]
     rows: tuple[tuple[Cell, ...], ...]
     comment: str = ""
 
     @classmethod
     def of(
-        cls, title: str, heads: Iterable[str], rows: Iterable[Sequence[Any]], comment: str = ""
+        cls, title: str, columns: Iterable[str], rows: Iterable[Sequence[Any]], comment: str = ""
     ) -> ReportTable:
-        """Create a table from headings in the format of `ReportColumn.of`.
+        """Create a table whose cells may be numbers of NumPy.
 
         Examples
         --------
@@ -344,8 +294,8 @@ class ReportTable:
         >>> table.text_rows()
         [['1', '0.9'], ['5', '0.8']]
         """
-        cells = tuple(tuple(map(_python, row)) for row in rows)
-        return cls(title, tuple(map(ReportColumn.of, heads)), cells, comment)
+        cells = tuple(tuple(x.item() if hasattr(x, "item") else x for x in row) for row in rows)
+        return cls(title, tuple(columns), cells, comment)
 
     @classmethod
     def of_records(
@@ -355,7 +305,7 @@ class ReportTable:
         records: Iterable[Mapping[str, Any]],
         comment: str = "",
     ) -> ReportTable:
-        """Create a table from records; `columns` maps names to headings.
+        """Create a table from records; `columns` maps names to columns.
 
         Examples
         --------
@@ -368,19 +318,22 @@ class ReportTable:
         return cls.of(title, columns.values(), rows, comment)
 
     @property
+    def heads(self) -> list[str]:
+        """The columns' headings."""
+        return [column.partition(":")[0] for column in self.columns]
+
+    @property
     def numeric(self) -> list[bool]:
         """Whether each column contains only numbers and missing values, which are right-aligned."""
+        numbers = int | float | None
         return [
-            all(isinstance(row[k], int | float | None) for row in self.rows)
-            for k in range(len(self.columns))
+            all(isinstance(row[k], numbers) for row in self.rows) for k in range(len(self.columns))
         ]
 
     def text_rows(self) -> list[list[str]]:
         """Return every cell as text."""
-        return [
-            [column.show(cell) for column, cell in zip(self.columns, row, strict=True)]
-            for row in self.rows
-        ]
+        forms = [column.partition(":")[2] or ".2" for column in self.columns]
+        return [[*map(cell_text, row, forms)] for row in self.rows]
 
     def as_json(self) -> dict[str, Any]:
         """Return the table with unrounded numbers; NaN becomes null.
@@ -390,18 +343,5 @@ class ReportTable:
         >>> ReportTable.of("a", ["b"], [[float("nan")]]).as_json()["rows"]
         [{'b': None}]
         """
-        heads = [column.head for column in self.columns]
-        return {
-            "title": self.title,
-            "comment": self.comment,
-            "rows": [
-                {head: json_value(cell) for head, cell in zip(heads, row, strict=True)}
-                for row in self.rows
-            ],
-        }
-
-
-def _python(cell: Any) -> Cell:
-    """Convert NumPy numbers to Python numbers for JSON."""
-    value: Cell = cell.item() if hasattr(cell, "item") else cell
-    return value
+        rows = [dict(zip(self.heads, json_value(row), strict=True)) for row in self.rows]
+        return {"title": self.title, "comment": self.comment, "rows": rows}

@@ -7,6 +7,7 @@ import hashlib
 import io
 import re
 from dataclasses import dataclass, replace
+from itertools import zip_longest
 from typing import TYPE_CHECKING
 from unicodedata import normalize
 
@@ -17,32 +18,18 @@ from cucumbervision.files import read_text
 from cucumbervision.methods.result import LengthDefinition
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
 _SEPARATORS = (",", ";", "\t")
 _MOST_COLUMNS = 1000
 
-_FORMULA_STARTS = ("=", "+", "-", "@")
+_FORMULA_GUARD = re.compile(r"^'(?=[=+@-])")
 
 
-@dataclass(frozen=True)
-class Line:
-    """A line of a table with its line number and its cells by column."""
-
-    number: int
-    cells: dict[str, str]
-
-
-@dataclass(frozen=True)
-class CsvTable:
-    """A table with lower-case column names and all lines that are not blank."""
-
-    columns: tuple[str, ...]
-    lines: tuple[Line, ...]
-
-
-def read_table(path: Path, error: type[CucumberVisionError] = CucumberVisionError) -> CsvTable:
+def read_table(
+    path: Path, error: type[CucumberVisionError] = CucumberVisionError
+) -> tuple[list[str], dict[int, dict[str, str]]]:
     r"""Read a CSV file as written by any spreadsheet.
 
     UTF-8 with or without byte order mark, UTF-16 with one, otherwise Windows-1252. The separator is
@@ -56,6 +43,13 @@ def read_table(path: Path, error: type[CucumberVisionError] = CucumberVisionErro
     error : type of CucumberVisionError
         Class of the error to raise.
 
+    Returns
+    -------
+    columns : list of str
+        Names in lower case.
+    lines : dict of int to dict of str to str
+        The cells by column of each line that is not blank, by its number.
+
     Raises
     ------
     CucumberVisionError
@@ -66,49 +60,38 @@ def read_table(path: Path, error: type[CucumberVisionError] = CucumberVisionErro
     >>> import pathlib, tempfile
     >>> path = pathlib.Path(tempfile.mkdtemp()) / "a.csv"
     >>> _ = path.write_bytes(b"\xef\xbb\xbfCapture;length_cm\r\nrow-3;23,5\r\n")
-    >>> table = read_table(path)
-    >>> table.columns, table.lines[0]
-    (('capture', 'length_cm'), Line(number=2, cells={'capture': 'row-3', 'length_cm': '23,5'}))
+    >>> read_table(path)
+    (['capture', 'length_cm'], {2: {'capture': 'row-3', 'length_cm': '23,5'}})
     """
-    text = read_text(path, error)
-    first, _, further_lines = text.partition("\n")
-    skipped = 0
-    if first.strip().strip('"').lower().startswith("sep="):
-        text, skipped = further_lines, 1
-        first = further_lines.partition("\n")[0]
-    separator = max(_SEPARATORS, key=first.count)
-    with as_errors_of(path):
+    text, first_line = read_text(path, error), 1
+    if text.partition("\n")[0].strip().strip('"').lower().startswith("sep="):
+        text, first_line = text.partition("\n")[2], 2
+    separator = max(_SEPARATORS, key=text.partition("\n")[0].count)
+    remedy = "write one line a length, and close every quote"
+    lines: dict[int, dict[str, str]] = {}
+    with as_errors_of(path), wrap_reader_errors(path, error, remedy):
         if not text.strip():
             raise error("the file is empty", remedy="write a head and a line a length")
-        with wrap_reader_errors(path, error, "write one line a length, and close every quote"):
-            return _table_of(text, skipped, separator, error)
-
-
-def _table_of(
-    text: str, skipped: int, separator: str, error: type[CucumberVisionError]
-) -> CsvTable:
-    reader = csv.reader(io.StringIO(text), delimiter=separator)
-    head = tuple(name.strip().lower() for name in next(reader))
-    if len(head) > _MOST_COLUMNS:
-        remedy = f"a table has at most {_MOST_COLUMNS}; write the columns' names on line 1"
-        raise error(f"line {1 + skipped} names {len(head)} columns", remedy=remedy)
-    if double := {name for name in head if name and head.count(name) > 1}:
-        fault = f"line {1 + skipped}: column '{min(double)}' is there twice"
-        raise error(fault, remedy="leave one of them out")
-    lines = []
-    for cells in reader:
-        if not any(cell.strip() for cell in cells):
-            continue
-        number = reader.line_num + skipped
-        if any(cell.strip() for cell in cells[len(head) :]):
-            raise error(
-                f"line {number} has {len(cells)} cells, the head {len(head)}",
-                remedy="put texts that hold the separator in quotes; decimal commas need "
-                "semicolons between cells",
-            )
-        padded = [*cells, *[""] * len(head)]
-        lines.append(Line(number, {n: _cell(c) for n, c in zip(head, padded, strict=False)}))
-    return CsvTable(head, tuple(lines))
+        reader = csv.reader(io.StringIO(text), delimiter=separator)
+        head = [name.strip().lower() for name in next(reader)]
+        if len(head) > _MOST_COLUMNS:
+            remedy = f"a table has at most {_MOST_COLUMNS}; write the columns' names on line 1"
+            raise error(f"line {first_line} names {len(head)} columns", remedy=remedy)
+        if double := {name for name in head if name and head.count(name) > 1}:
+            fault = f"line {first_line}: column '{min(double)}' is there twice"
+            raise error(fault, remedy="leave one of them out")
+        for row in reader:
+            cells, number = [*map(str.strip, row)], reader.line_num + first_line - 1
+            if any(cells[len(head) :]):
+                raise error(
+                    f"line {number} has {len(cells)} cells, the head {len(head)}",
+                    remedy="put texts that hold the separator in quotes; decimal commas need "
+                    "semicolons between cells",
+                )
+            if any(cells):
+                plain = (_FORMULA_GUARD.sub("", cell) for cell in cells)
+                lines[number] = dict(zip_longest(head, plain, fillvalue=""))
+    return head, lines
 
 
 def parse_number(text: str) -> float | None:
@@ -127,11 +110,6 @@ def parse_number(text: str) -> float | None:
     except ValueError:
         return None
     return value if abs(value) < float("inf") else None
-
-
-def _cell(text: str) -> str:
-    plain = text.strip()
-    return plain[1:] if plain[:1] == "'" and plain[1:2] in _FORMULA_STARTS else plain
 
 
 MISSED = "missed"
@@ -230,21 +208,24 @@ def read_truth(path: Path) -> Truth:
         With file and line, for an empty file, a missing column, a length that is not a positive
         number, an unknown kind, or contradictory lines.
     """
-    table = read_table(path, TruthError)
-    columns = [name for name in table.columns if _LENGTH_COLUMN.fullmatch(name)]
-    missing = [name for name in ("capture", "fruit", "kind") if name not in table.columns]
+    head, lines = read_table(path, TruthError)
+    columns = [name for name in head if _LENGTH_COLUMN.fullmatch(name)]
+    missing = [name for name in ("capture", "fruit", "kind") if name not in head]
     missing += [] if columns else ["length_cm"]
     with as_errors_of(path):
         if missing:
             remedy = "name the columns capture, fruit, length_cm (in centimetres), kind"
             raise TruthError("has no column {names}", remedy=remedy, names=", ".join(missing))
-        if not table.lines:
+        if not lines:
             raise TruthError("has a head but no lines", remedy="write a line a length")
-        lengths = _merged([(line, _true_length(line, columns)) for line in table.lines])
+        read = [
+            (_true_length(n, cells, columns), cells.get("repeat", "")) for n, cells in lines.items()
+        ]
+        lengths = _merged(read)
         _require_whole_specimens(lengths)
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    unused = tuple(n for n in table.columns if n and n not in {*_KNOWN, *columns})
-    return Truth(path, lengths, "specimen" in table.columns, digest, unused)
+    unused = tuple(n for n in head if n and n not in {*_KNOWN, *columns})
+    return Truth(path, lengths, "specimen" in head, digest, unused)
 
 
 def floor_of(lengths: Sequence[TrueLength]) -> Floor | None:
@@ -281,56 +262,44 @@ def floor_of(lengths: Sequence[TrueLength]) -> Floor | None:
     )
 
 
-def _true_length(line: Line, columns: Sequence[str]) -> TrueLength:
-    cells, place = line.cells, f"line {line.number}"
+def _true_length(number: int, cells: Mapping[str, str], columns: Sequence[str]) -> TrueLength:
+    fruit_text, kind = cells["fruit"].lower(), cells["kind"].lower()
+    fruit = None if fruit_text == MISSED else parse_number(fruit_text) or 0.0
+    lengths_cm = {name: parse_number(cells[name]) or 0.0 for name in columns if cells[name]}
+    bad = next((name for name, length_cm in lengths_cm.items() if length_cm <= 0), None)
     if not cells["capture"]:
-        raise TruthError(f"{place}: names no capture", remedy="fill the column capture")
-    kinds = [str(kind) for kind in LengthDefinition]
-    kind = cells["kind"].lower()
-    if kind not in kinds:
-        fault = f"{place}: '{cells['kind']}' is not a kind of length"
-        raise TruthError(fault, remedy=f"write {', '.join(kinds)}")
-    fruit = _fruit(cells["fruit"], place)
-    lengths = tuple(_length_m(cells[name], f"{place}: {name}") for name in columns if cells[name])
-    if not lengths:
-        raise TruthError(f"{place}: has no length", remedy="fill it or drop the line")
-    fruit_name = f"{cells['capture']} {fruit or f'{MISSED} {place}'}"
-    return TrueLength(
-        line=line.number,
-        capture=normalize("NFC", cells["capture"]),
-        fruit=fruit,
-        kind=LengthDefinition(kind),
-        lengths_m=lengths,
-        specimen=cells.get("specimen") or fruit_name,
-    )
-
-
-def _fruit(text: str, place: str) -> int | None:
-    if text.lower() == MISSED:
-        return None
-    value = parse_number(text)
-    if value is None or value < 1 or value != int(value):
+        fault, remedy = "names no capture", "fill the column capture"
+    elif kind not in {*LengthDefinition}:
+        fault = f"'{cells['kind']}' is not a kind of length"
+        remedy = f"write {', '.join(LengthDefinition)}"
+    elif fruit is not None and (fruit < 1 or fruit % 1):
+        fault = f"'{cells['fruit']}' is not the number of a fruit"
         remedy = f"give its number in the overlay, or '{MISSED}' if the run did not find it"
-        raise TruthError(f"{place}: '{text}' is not the number of a fruit", remedy=remedy)
-    return int(value)
-
-
-def _length_m(text: str, place: str) -> float:
-    value = parse_number(text)
-    if value is None or value <= 0:
+    elif bad:
+        fault = f"{bad} '{cells[bad]}' is not a positive number"
         remedy = "give centimetres, such as 23.5 or 23,5"
-        raise TruthError(f"{place} '{text}' is not a positive number", remedy=remedy)
-    return value / 100
+    elif not lengths_cm:
+        fault, remedy = "has no length", "fill it or drop the line"
+    else:
+        return TrueLength(
+            line=number,
+            capture=normalize("NFC", cells["capture"]),
+            fruit=fruit and int(fruit),
+            kind=LengthDefinition(kind),
+            lengths_m=tuple(length_cm / 100 for length_cm in lengths_cm.values()),
+            specimen=cells.get("specimen")
+            or f"{cells['capture']} {(fruit and int(fruit)) or f'{MISSED} line {number}'}",
+        )
+    raise TruthError(f"line {number}: {fault}", remedy=remedy)
 
 
-def _merged(read: Sequence[tuple[Line, TrueLength]]) -> tuple[TrueLength, ...]:
+def _merged(read: Iterable[tuple[TrueLength, str]]) -> tuple[TrueLength, ...]:
     first_of_repeat: dict[tuple[object, ...], TrueLength] = {}
     merged: dict[tuple[object, ...], TrueLength] = {}
-    for line, length in read:
+    for length, number in read:
         # Missed fruit have no number and are distinguished by their specimen.
         fruit = length.capture, length.fruit or length.specimen, length.kind
-        repeat = (*fruit, line.cells.get("repeat", ""))
-        before = first_of_repeat.setdefault(repeat, length)
+        before = first_of_repeat.setdefault((*fruit, number), length)
         if before.lengths_m != length.lengths_m:
             raise TruthError(
                 f"lines {before.line} and {length.line} contradict each other: "

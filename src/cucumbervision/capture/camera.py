@@ -181,11 +181,9 @@ class FolderCamera:
                 self._taken[ref.name] = capture_name.casefold()
                 return replace(capture, name=capture_name, **changes)
             if self._clock() > until_s:
-                raise CameraError(
-                    f"no capture has appeared for {self._timeout_s:g} s",
-                    source=self._folder,
-                    remedy="check the program that writes them",
-                )
+                fault = f"no capture has appeared for {self._timeout_s:g} s"
+                remedy = "check the program that writes them"
+                raise CameraError(fault, source=self._folder, remedy=remedy)
             # Listing a large folder is slow: wait in proportion, so that most of the time is idle.
             self._sleep(max(_POLL_S, 4 * (self._clock() - began_s)))
 
@@ -194,10 +192,9 @@ class FolderCamera:
             refs = list(open_source(self._folder, self._options))
         except CucumberVisionError:
             return []  # still empty or incomplete, or out of reach for a moment
-        there = {ref.name for ref in refs}
-        for kept in (self._taken, self._unread):
-            for name in kept.keys() - there:
-                del kept[name]
+        for names in (self._taken, self._unread):
+            for name in names.keys() - {ref.name for ref in refs}:
+                del names[name]
         return refs
 
     def _load(self, ref: CaptureRef) -> Capture | None:
@@ -224,9 +221,7 @@ def _stamp(ref: CaptureRef) -> object:
     """Return size and time of change of a capture's files, to be compared; None if unknown."""
     try:
         files = [part for part in (ref.parts() if ref.parts else ()) if not isinstance(part, bytes)]
-        return [
-            (str(file), stat.st_size, stat.st_mtime) for file in files for stat in [file.stat()]
-        ]
+        return [(str(file), (s := file.stat()).st_size, s.st_mtime) for file in files]
     except (CucumberVisionError, OSError):
         return None
 
@@ -393,20 +388,18 @@ def depth_quality(capture: Capture) -> DepthQuality:
     ('good', 'too-near', 'too-far', 'none')
     """
     height, width = capture.depth_m.shape
-    middle = capture.depth_m[
-        height // 6 : height - height // 6 : _STRIDE, width // 6 : width - width // 6 : _STRIDE
-    ]
+    rows, columns = (slice(n // 6, n - n // 6, _STRIDE) for n in (height, width))
+    middle = capture.depth_m[rows, columns]
     valid = middle[valid_depth(middle)]
-    fill = valid.size / middle.size
     if not valid.size:
         return DepthQuality(0.0, None, "none", "No depth: too near, or the lens is covered")
-    distance_m = float(np.quantile(valid, NEAREST / 2))
-    if distance_m < _NEAR_M:
-        return DepthQuality(fill, distance_m, "too-near", "Too near: step back")
-    if distance_m > _FAR_M:
-        return DepthQuality(fill, distance_m, "too-far", "Too far: step closer")
-    if capture.moved_px > still_px(capture.color):
-        return DepthQuality(fill, distance_m, "moving", "The camera moves: hold still")
-    if fill < _POOR_FILL:
-        return DepthQuality(fill, distance_m, "poor", "Many holes: avoid glare, hold still")
-    return DepthQuality(fill, distance_m, "good", "Good distance and depth")
+    fill, distance_m = valid.size / middle.size, float(np.quantile(valid, NEAREST / 2))
+    verdicts = (
+        (distance_m < _NEAR_M, "too-near", "Too near: step back"),
+        (distance_m > _FAR_M, "too-far", "Too far: step closer"),
+        (capture.moved_px > still_px(capture.color), "moving", "The camera moves: hold still"),
+        (fill < _POOR_FILL, "poor", "Many holes: avoid glare, hold still"),
+        (True, "good", "Good distance and depth"),
+    )
+    verdict, advice = next(words for is_so, *words in verdicts if is_so)
+    return DepthQuality(fill, distance_m, verdict, advice)

@@ -3,59 +3,27 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, PlainValidator, model_validator
 
-from cucumbervision.capture.intrinsics import DepthAlong, Intrinsics, Stream, pinhole_of_matrix
+from cucumbervision.capture.intrinsics import (
+    DepthAlong,
+    Distortion,
+    Intrinsics,
+    Stream,
+    pinhole_of_matrix,
+)
 from cucumbervision.capture.pictures import read_array
 from cucumbervision.errors import IntrinsicsError, as_errors_of, wrap_reader_errors
 from cucumbervision.files import parse_model, read_json, read_text
-from cucumbervision.tube.camera import Distortion
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class CameraFile:
-    """Contents of an intrinsics file.
-
-    Parameters
-    ----------
-    intrinsics : Intrinsics
-        Intrinsics of the stream given in the file.
-    path : Path
-        The file, for error messages.
-    depth : Intrinsics, optional
-        Intrinsics of the depth camera, for depth that is not aligned to colour.
-    depth_to_color : Extrinsics, optional
-        Transform from the depth camera to the colour camera.
-    depth_unit_m : float, optional
-        Metres per depth step.
-    depth_along : DepthAlong, optional
-        Direction in which depth is measured.
-    aligned_to : Stream, optional
-        The camera whose pixels both pictures have.
-    is_sized : bool
-        Whether the file contains the picture size.
-    rectified : Intrinsics, optional
-        Those of rectified pictures, where the file has them beside those of raw ones.
-    """
-
-    intrinsics: Intrinsics
-    path: Path
-    depth: Intrinsics | None = None
-    depth_to_color: Extrinsics | None = None
-    depth_unit_m: float | None = None
-    depth_along: DepthAlong | None = None
-    aligned_to: Stream | None = None
-    is_sized: bool = True
-    rectified: Intrinsics | None = None
+    from cucumbervision.arrays import Array
 
 
 class StrictModel(BaseModel):
@@ -86,12 +54,8 @@ class CameraModel(StrictModel):
     @property
     def intrinsics(self) -> Intrinsics:
         """The block as `Intrinsics`."""
-        return Intrinsics(
-            **{
-                parameter.name: getattr(self, parameter.name.removesuffix("_px"))
-                for parameter in fields(Intrinsics)
-            }
-        )
+        names = (parameter.name for parameter in fields(Intrinsics))
+        return Intrinsics(**{name: getattr(self, name.removesuffix("_px")) for name in names})
 
     @classmethod
     def of(cls, intrinsics: Intrinsics) -> CameraModel:
@@ -99,7 +63,7 @@ class CameraModel(StrictModel):
         return cls(**{key.removesuffix("_px"): value for key, value in vars(intrinsics).items()})
 
 
-def _rotation(values: Any) -> NDArray[np.float64]:
+def _rotation(values: Any) -> Array:
     """Return R, shape (3, 3), of its rows, or of the nine numbers of the SDK by columns."""
     rotation = np.array(values, dtype=float)
     rotation = rotation.reshape(3, 3).T if rotation.shape == (9,) else rotation
@@ -111,7 +75,7 @@ def _rotation(values: Any) -> NDArray[np.float64]:
     return rotation
 
 
-def _vector(values: Any) -> NDArray[np.float64]:
+def _vector(values: Any) -> Array:
     return np.array(values, dtype=float).reshape(3)
 
 
@@ -134,12 +98,37 @@ class _DepthModel(CameraModel):
     stream: Literal[Stream.DEPTH] = Stream.DEPTH
 
 
-class _FileModel(CameraModel):
+class CameraFile(CameraModel):
+    """Contents of an intrinsics file; `intrinsics` is the camera of its stream.
+
+    Parameters
+    ----------
+    path : Path
+        The file, for error messages.
+    depth : CameraModel, optional
+        The depth camera, for depth that is not aligned to colour.
+    depth_to_color : Extrinsics, optional
+        Transform from the depth camera to the colour camera.
+    depth_unit_m : float, optional
+        Metres per depth step.
+    depth_along : DepthAlong, optional
+        Direction in which depth is measured.
+    aligned_to : Stream, optional
+        The camera whose pixels both images have.
+    is_sized : bool
+        Whether the file contains the image size.
+    rectified : Intrinsics, optional
+        Those of rectified images, where the file has them beside those of raw ones.
+    """
+
+    path: Any
     depth: _DepthModel | None = None
     depth_to_color: Extrinsics | None = None
     depth_unit_m: float | None = Field(default=None, gt=0)
     depth_along: DepthAlong | None = None
     aligned_to: Stream | None = None
+    is_sized: bool = True
+    rectified: Annotated[Any, PlainValidator(lambda camera: camera)] = None
 
 
 _SAY_STREAM = (
@@ -227,34 +216,28 @@ def read_camera_file(path: Path) -> CameraFile:
     is_sized = {"width", "height"} <= data.keys()
     if "matrix" in data:
         with as_errors_of(path):
-            values = pinhole_of_matrix(data.pop("matrix"))
-        data |= dict(zip(("fx", "fy", "cx", "cy"), values, strict=True))
-        if not is_sized:
-            # Without a size, the intrinsics apply to the picture that they are used with.
-            data |= {"width": max(1, round(2 * values[2])), "height": max(1, round(2 * values[3]))}
+            fx, fy, cx, cy = pinhole_of_matrix(data.pop("matrix"))
+        # Without a size, the intrinsics apply to the image that they are used with.
+        about = (
+            {} if is_sized else {"width": max(1, round(2 * cx)), "height": max(1, round(2 * cy))}
+        )
+        data |= {"fx": fx, "fy": fy, "cx": cx, "cy": cy, **about}
     by_name = {"color": _COLOR, "depth": _NOT_COLOR}
     streams = [stream for stream, word in by_name.items() if word.search(path.stem)]
     if "stream" not in data and len(streams) != 1:
         fault = "does not say which stream these intrinsics belong to"
         raise IntrinsicsError(fault, source=path, remedy=_SAY_STREAM)
-    data = {"stream": streams[0] if streams else "", **data}
+    data = {"stream": streams[0] if streams else "", **data, "path": path, "is_sized": is_sized}
     rectified = data.pop("rectified", None)
     if "distortion" in data:
         data["distortion"] = str(data["distortion"]).removeprefix("distortion.")
-    model = parse_model(_FileModel, data, source=path, error=IntrinsicsError)
+    camera = parse_model(CameraFile, data, source=path, error=IntrinsicsError)
     with as_errors_of(path):
-        size = (model.width, model.height, model.stream)
-        return CameraFile(
-            intrinsics=model.intrinsics,
-            path=path,
-            depth=model.depth.intrinsics if model.depth else None,
-            depth_to_color=model.depth_to_color,
-            depth_unit_m=model.depth_unit_m,
-            depth_along=model.depth_along,
-            aligned_to=model.aligned_to,
-            is_sized=is_sized,
-            rectified=None if rectified is None else Intrinsics.from_matrix(rectified, *size),
-        )
+        _ = camera.intrinsics, camera.depth and camera.depth.intrinsics  # a camera can be these
+        if rectified is not None:
+            size = camera.intrinsics.size
+            camera.rectified = Intrinsics.from_matrix(rectified, *size, camera.stream)
+    return camera
 
 
 def _other_program(program: str, path: Path) -> IntrinsicsError:
@@ -350,6 +333,6 @@ def _stream_of(data: dict[str, Any], path: Path) -> str:
     return "depth" if _NOT_COLOR.search(names) else "color"
 
 
-def _numbers(value: Any) -> NDArray[np.float64]:
+def _numbers(value: Any) -> Array:
     """Return the values of a matrix given as lists, or as `data`."""
     return np.array(value["data"] if isinstance(value, dict) else value, dtype=float).ravel()

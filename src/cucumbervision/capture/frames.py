@@ -8,20 +8,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cucumbervision.capture.depth import depth_to_metres
-from cucumbervision.capture.depth import valid_depth as valid_depth
 from cucumbervision.capture.intrinsics import Intrinsics, check_intrinsics, is_off_centre
+from cucumbervision.capture.pictures import depth_to_metres
+from cucumbervision.capture.pictures import valid_depth as valid_depth
 from cucumbervision.errors import CaptureError, DepthError
 from cucumbervision.names import checked_name
+from cucumbervision.tube.shape import robust_plane
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from typing import Self
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
-
-_STRIP_ROWS = 64
+    from cucumbervision.arrays import Array, Array32, Mask, Numbers, Pixels
 
 
 class Doubt(StrEnum):
@@ -113,15 +113,15 @@ class Capture:
     (64, 48, 1.0)
     """
 
-    color: NDArray[np.uint8]
-    depth_m: NDArray[np.float32]
+    color: Pixels
+    depth_m: Array32
     intrinsics: Intrinsics
     name: str
     frame: int = 0
     burst_frame: int = 0
     burst_size: int = 1
     moved_px: float = 0.0
-    masks: tuple[NDArray[np.bool_], ...] = ()
+    masks: tuple[Mask, ...] = ()
     stop: Stop = field(default_factory=Stop)
     timestamp_s: float | None = None
     simulated: bool = False
@@ -163,8 +163,8 @@ class Capture:
     @classmethod
     def from_arrays(
         cls,
-        color: NDArray[np.uint8],
-        depth: NDArray[Any],
+        color: Pixels,
+        depth: Numbers,
         intrinsics: Intrinsics | ArrayLike,
         *,
         depth_unit_m: float | None = None,
@@ -244,16 +244,14 @@ class FusedBurst:
         Motion within the burst, pixels; see `motion.moved_px`.
     """
 
-    color: NDArray[np.uint8]
-    depth_m: NDArray[np.float32]
+    color: Pixels
+    depth_m: Array32
     burst_frame: int = 0
     burst_size: int = 1
     moved_px: float = 0.0
 
 
-def fuse_burst(
-    colors: Sequence[NDArray[np.uint8]], depths_m: Sequence[NDArray[np.float32]]
-) -> FusedBurst:
+def fuse_burst(colors: Sequence[Pixels], depths_m: Sequence[Array32]) -> FusedBurst:
     """Fuse a burst to one frame, without frames that moved too far.
 
     Parameters
@@ -301,7 +299,7 @@ def fuse_burst(
     )
 
 
-def sharpness(color: NDArray[np.uint8]) -> float:
+def sharpness(color: Pixels) -> float:
     """Return the sharpness of a picture, the variance of the Laplacian of its grey values.
 
     Source: Pech-Pacheco et al. (2000), "Diatom autofocusing in brightfield microscopy".
@@ -323,7 +321,7 @@ def sharpness(color: NDArray[np.uint8]) -> float:
     return float(np.ravel(deviation)[0] ** 2)
 
 
-def median_depth(depths_m: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
+def median_depth(depths_m: Sequence[Array32]) -> Array32:
     """Return the median of the valid readings (0.1 to 5 m) of each pixel.
 
     Parameters
@@ -336,48 +334,27 @@ def median_depth(depths_m: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]
     ndarray of float32, shape (H, W)
         Metres; 0 if no frame has a valid reading.
 
-    Notes
-    -----
-    Planes are sorted by element-wise min and max (odd-even transposition sort) with infinity for
-    invalid readings, in strips that fit into the CPU cache. This is several times faster than
-    sorting each pixel.
-
     Examples
     --------
     >>> frames = [np.full((1, 1), z, np.float32) for z in (0.5, 0.0, 0.75, 9.0, 0.625)]
     >>> float(median_depth(frames)[0, 0])
     0.625
     """
-    depth_m = np.empty(depths_m[0].shape, np.float32)
-    for top in range(0, len(depth_m), _STRIP_ROWS):
-        strip = slice(top, top + _STRIP_ROWS)
-        depth_m[strip] = _median_of_strip([d[strip] for d in depths_m])
-    return depth_m
-
-
-def _median_of_strip(depths_m: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
-    valid = [valid_depth(d) for d in depths_m]
+    valid = [valid_depth(depth) for depth in depths_m]
     planes = [np.where(v, d, np.float32(np.inf)) for v, d in zip(valid, depths_m, strict=True)]
-    counts = np.zeros(planes[0].shape, np.uint8 if len(planes) < 256 else np.int64)
-    for v in valid:
-        counts += v
-    _sort_planes(planes)
-    depth_m = np.zeros(planes[0].shape, np.float32)
-    for n in range(1, len(planes) + 1):
-        lower, upper = planes[(n - 1) // 2], planes[n // 2]
-        # Most pixels have all readings, so whole planes are faster than single pixels.
-        value = lower if lower is upper else (lower + upper) / np.float32(2)
-        np.copyto(depth_m, value, where=counts == n)
-    return depth_m
-
-
-def _sort_planes(planes: list[NDArray[np.float32]]) -> None:
     spare = np.empty_like(planes[0])
+    # Odd-even transposition by whole planes is several times faster than sorting each pixel.
     for turn in range(len(planes)):
         for i in range(turn % 2, len(planes) - 1, 2):
             np.minimum(planes[i], planes[i + 1], out=spare)
             np.maximum(planes[i], planes[i + 1], out=planes[i + 1])
             planes[i], spare = spare, planes[i]
+    counts, depth_m = np.sum(valid, axis=0, dtype=np.uint16), np.zeros_like(spare)
+    for n in range(1, len(planes) + 1):
+        lower, upper = planes[(n - 1) // 2], planes[n // 2]
+        value = lower if lower is upper else (lower + upper) / np.float32(2)
+        np.copyto(depth_m, value, where=counts == n)
+    return depth_m
 
 
 _STILL_SHARE = 1 / 250  # of the width: 3 px of 848, up to which fused lengths are correct
@@ -389,7 +366,7 @@ _THERE_AND_BACK_PX = 0.5
 _MOTION_QUANTILE = 0.9  # quantile of the corners, so that swinging or near fruit do not dominate
 
 
-def moved_px(reference: NDArray[np.uint8], pictures: Sequence[NDArray[np.uint8]]) -> list[float]:
+def moved_px(reference: Pixels, pictures: Sequence[Pixels]) -> list[float]:
     """Return the motion between a reference frame and each other frame.
 
     Corners of the reference are tracked forward and backward (Lucas and Kanade).
@@ -432,7 +409,7 @@ def moved_px(reference: NDArray[np.uint8], pictures: Sequence[NDArray[np.uint8]]
     ]
 
 
-def still_px(color: NDArray[np.uint8]) -> float:
+def still_px(color: Pixels) -> float:
     """Return the maximum motion that counts as still for this picture size, pixels.
 
     Examples
@@ -443,9 +420,7 @@ def still_px(color: NDArray[np.uint8]) -> float:
     return float(_STILL_SHARE * color.shape[1])
 
 
-def _moved(
-    first: NDArray[np.uint8], second: NDArray[np.uint8], corners: NDArray[np.float32]
-) -> float:
+def _moved(first: Pixels, second: Pixels, corners: Array32) -> float:
     import cv2
 
     # OpenCV writes into the last argument if it is given.
@@ -463,14 +438,14 @@ def _moved(
     return float(np.quantile(by, _MOTION_QUANTILE))
 
 
-def _levelled(grey: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def _levelled(grey: Pixels) -> Pixels:
     """Normalise brightness and contrast, because exposure adapts between frames."""
     off = grey - np.float32(grey.mean())
     spread = max(float(off.std()), 1.0)
     return np.asarray(np.clip(128 + off * np.float32(40 / spread), 0, 255), np.uint8)
 
 
-def _small_grey(color: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], float]:
+def _small_grey(color: Pixels) -> tuple[Pixels, float]:
     """Return a downscaled grey picture and its scale factor."""
     import cv2
 
@@ -482,14 +457,13 @@ def _small_grey(color: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], float]:
 
 
 _PLANE_SAMPLES, _LEAST_PLANE_SAMPLES = 800, 100
-_PLANE_ROUNDS = 6
 _ON_PLANE = 0.01  # of the distance
 # Real boards and tables hold 0.47 to 0.94 of the readings, and 0.11 to 0.18 read the other way;
 # pictures between plants hold 0.01 to 0.12 both ways.
 _LEAST_PLANE_SHARE, _CLEARLY = 0.4, 2.5
 
 
-def depth_along_axis(depth_m: NDArray[np.float32], camera: Intrinsics) -> NDArray[np.float32]:
+def depth_along_axis(depth_m: Array32, camera: Intrinsics) -> Array32:
     """Return depth along the optical axis, of distances along each pixel's ray.
 
     Simulators and laser scanners write the distance to the camera's centre; depth cameras write
@@ -516,11 +490,11 @@ def depth_along_axis(depth_m: NDArray[np.float32], camera: Intrinsics) -> NDArra
     """
     height, width = depth_m.shape
     x, y = camera.rays(np.arange(width)[None, :], np.arange(height)[:, None])
-    axial_m: NDArray[np.float32] = (depth_m / np.sqrt(1.0 + x**2 + y**2)).astype(np.float32)
+    axial_m: Array32 = (depth_m / np.sqrt(1.0 + x**2 + y**2)).astype(np.float32)
     return axial_m
 
 
-def is_along_ray(depth_m: NDArray[np.float32], camera: Intrinsics) -> bool:
+def is_along_ray(depth_m: Array32, camera: Intrinsics) -> bool:
     """Return whether depth shows a plane only if it is taken for distances along each pixel's ray.
 
     Most pictures of fruit on a table, a board or before a wall show a plane. Read along the wrong
@@ -560,13 +534,7 @@ def is_along_ray(depth_m: NDArray[np.float32], camera: Intrinsics) -> bool:
     return by_ray >= max(_LEAST_PLANE_SHARE, _CLEARLY * by_axis)
 
 
-def _plane_share(terms: NDArray[np.float64], depth_m: NDArray[np.float64]) -> float:
+def _plane_share(terms: Array, depth_m: Array) -> float:
     """Return the share of readings on the plane along which most of them lie."""
-    # A plane in space is linear in the inverse depth over the picture.
-    weight = np.ones(len(depth_m))
-    for _ in range(_PLANE_ROUNDS):  # towards the least sum of absolute deviations
-        weighted = terms * weight[:, None]
-        plane = np.linalg.lstsq(weighted.T @ terms, weighted.T @ (1 / depth_m), rcond=None)[0]
-        off = np.abs(1 / depth_m - terms @ plane) * depth_m
-        weight = 1 / np.maximum(off, _ON_PLANE / 4)
+    off = robust_plane(terms, 1 / depth_m, depth_m, _ON_PLANE / 4)[1]
     return float(np.mean(off < _ON_PLANE))

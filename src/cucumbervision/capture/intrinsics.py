@@ -8,18 +8,21 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from enum import StrEnum
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cucumbervision.capture import DepthAlong as DepthAlong
 from cucumbervision.capture import Stream as Stream
 from cucumbervision.errors import IntrinsicsError
-from cucumbervision.tube.camera import Distortion as Distortion
-from cucumbervision.tube.camera import distort, scale_error, undistort
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import ArrayLike, NDArray
+
+    from cucumbervision.arrays import Array, Array32, Numbers
 
 
 _SHORTEST_FOCAL, _LONGEST_FOCAL = 0.05, 100.0  # range of focal lengths relative to the longer side
@@ -28,8 +31,100 @@ _MOST_ASPECT, _MOST_COEFFICIENT, _MOST_PX = 1.5, 1e3, 1e9
 _WIDEST_TANGENT = 20.0  # maximum tangent of a pixel's viewing angle
 # A principal point that lies off the middle by the same factor in both directions, within
 # `_SAME_FACTOR`, belongs to a picture of another size; within `_CENTRED` of 1 cameras vary.
-# `_OFF_CENTRE` is a share of the picture's size.
+# `_OFF_CENTRE` is a share of the image's size.
 _SAME_FACTOR, _CENTRED, _OFF_CENTRE = 0.06, 0.09, 0.06
+_LARGEST_FOOTPRINT = 4096.0  # colour pixels of one depth pixel; of a D4xx it is under 100
+_UNDISTORT_STEPS = 10  # as the SDK: more changes nothing at the distortions of a D4xx
+
+
+class Distortion(StrEnum):
+    """Lens models of the RealSense SDK that occur on D4xx colour and aligned streams."""
+
+    NONE = "none"
+    BROWN_CONRADY = "brown_conrady"
+    MODIFIED_BROWN_CONRADY = "modified_brown_conrady"
+    INVERSE_BROWN_CONRADY = "inverse_brown_conrady"
+
+
+def _brown(
+    x: Numbers, y: Numbers, c: Sequence[float], *, scaled_tangential: bool = False
+) -> tuple[Numbers, Numbers]:
+    k1, k2, p1, p2, k3 = c
+    r2 = x * x + y * y
+    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    xr, yr = x * radial, y * radial
+    xt, yt = (xr, yr) if scaled_tangential else (x, y)
+    return (
+        xr + 2 * p1 * xt * yt + p2 * (r2 + 2 * xt * xt),
+        yr + 2 * p2 * xt * yt + p1 * (r2 + 2 * yt * yt),
+    )
+
+
+def distort(
+    x: Numbers, y: Numbers, model: Distortion, coefficients: Sequence[float]
+) -> tuple[Numbers, Numbers]:
+    """Apply the lens distortion to the ray (x, y): the forward model, used to project.
+
+    Parameters
+    ----------
+    x, y : ndarray
+        Normalised image coordinates (x/z, y/z).
+    model : Distortion
+        The lens model.
+    coefficients : sequence of float
+        k1, k2, p1, p2, k3.
+
+    Returns
+    -------
+    x, y : ndarray
+        Distorted normalised image coordinates, the shape of the input.
+
+    Examples
+    --------
+    >>> c = (0.1, 0, 0, 0, 0)
+    >>> x, y = distort(np.array([0.5]), np.array([0.0]), Distortion.BROWN_CONRADY, c)
+    >>> x.round(4)
+    array([0.5125])
+    """
+    if model is Distortion.NONE:
+        return x, y
+    return _brown(x, y, coefficients, scaled_tangential=model is not Distortion.BROWN_CONRADY)
+
+
+def undistort(
+    x: Numbers, y: Numbers, model: Distortion, coefficients: Sequence[float]
+) -> tuple[Numbers, Numbers]:
+    """Remove the lens distortion at (x, y): the inverse of `distort`, by fixed point.
+
+    Parameters
+    ----------
+    x, y : ndarray
+        Distorted normalised image coordinates.
+    model : Distortion
+        The lens model.
+    coefficients : sequence of float
+        k1, k2, p1, p2, k3.
+
+    Returns
+    -------
+    x, y : ndarray
+        Normalised image coordinates (x/z, y/z), the shape of the input.
+
+    Examples
+    --------
+    >>> c = (0.1, -0.05, 0.001, -0.002, 0.01)
+    >>> ray = np.array([0.3]), np.array([-0.2])
+    >>> distorted = distort(*ray, Distortion.BROWN_CONRADY, c)
+    >>> [float(x[0].round(6)) for x in undistort(*distorted, Distortion.BROWN_CONRADY, c)]
+    [0.3, -0.2]
+    """
+    if model is Distortion.NONE:
+        return x, y
+    ux, uy = x, y
+    for _ in range(_UNDISTORT_STEPS):
+        dx, dy = distort(ux, uy, model, coefficients)
+        ux, uy = ux + (x - dx), uy + (y - dy)
+    return ux, uy
 
 
 @dataclass(frozen=True)
@@ -39,7 +134,7 @@ class Intrinsics:
     Parameters
     ----------
     width, height : int
-        Picture size of the calibration, pixels.
+        Image size of the calibration, pixels.
     fx_px, fy_px : float
         Focal lengths in pixels.
     cx_px, cy_px : float
@@ -117,7 +212,7 @@ class Intrinsics:
         return cls(width, height, *pinhole_of_matrix(matrix), stream)
 
     @property
-    def matrix(self) -> NDArray[np.float64]:
+    def matrix(self) -> Array:
         """The 3x3 camera matrix, float64, pixels."""
         return np.array(
             [[self.fx_px, 0.0, self.cx_px], [0.0, self.fy_px, self.cy_px], [0.0, 0.0, 1.0]]
@@ -128,7 +223,7 @@ class Intrinsics:
         """(width, height) in pixels."""
         return self.width, self.height
 
-    def rays(self, u_px: ArrayLike, v_px: ArrayLike) -> tuple[NDArray[Any], NDArray[Any]]:
+    def rays(self, u_px: ArrayLike, v_px: ArrayLike) -> tuple[Numbers, Numbers]:
         """Return the undistorted ray (x/z, y/z) of each pixel.
 
         Parameters
@@ -159,7 +254,7 @@ class Intrinsics:
             return x, y
         return undistort(x, y, self.distortion, self.coefficients)
 
-    def project(self, points_m: ArrayLike) -> NDArray[np.float64]:
+    def project(self, points_m: ArrayLike) -> Array:
         """Project points to pixels, including lens distortion.
 
         Parameters
@@ -327,7 +422,7 @@ def _check_principal_point(camera: Intrinsics, source: object) -> None:
 def is_off_centre(intrinsics: Intrinsics) -> bool:
     """Return whether the principal point lies where cameras do not have it, but a cut-out may.
 
-    Real colour cameras have it within 4 % of the picture's size from the middle. A picture that
+    Real colour cameras have it within 4 % of the image's size from the middle. A picture that
     was cut out of a larger one may have it anywhere; so does a matrix of another picture.
 
     Examples
@@ -347,11 +442,114 @@ def _wrong_by(camera: Intrinsics, right_px: float | None, qualifier: str = "") -
             "; by how much lengths would be wrong cannot be said without the colour calibration "
             "(f_right/f_wrong - 1; about +42 % on a typical D435 at 1280x720)"
         )
-    percent = 100 * scale_error(right_px, camera.fx_px)
+    percent = 100 * (right_px / camera.fx_px - 1)
     return (
         f" (fx {right_px:.1f} px): lengths would come out {qualifier}{percent:+.0f} % wrong "
         "(f_right/f_wrong - 1)"
     )
+
+
+def align_depth_to_color(
+    depth_m: Array32,
+    depth: Intrinsics,
+    color: Intrinsics,
+    rotation: ArrayLike,
+    translation_m: ArrayLike,
+) -> Array32:
+    """Align depth to the colour camera's pixels.
+
+    Parameters
+    ----------
+    depth_m : ndarray of float32, shape (H, W)
+        Metres in the depth camera's pixels; 0 for no reading.
+    depth, color : Intrinsics
+        The two cameras; the result has the size of `color`.
+    rotation : array_like, shape (3, 3)
+        R of x_color = R x_depth + t, rows first.
+    translation_m : array_like, shape (3,)
+        t, metres.
+
+    Returns
+    -------
+    ndarray of float32, shape (color height, color width)
+        Metres; 0 where no depth pixel falls. The value is the depth camera's own z, as in the
+        SDK: on a D4xx the two cameras' z differ by less than 1 mm.
+
+    Raises
+    ------
+    ValueError
+        If a depth pixel covers thousands of colour pixels: no two cameras are like that.
+
+    Notes
+    -----
+    The rule of the RealSense SDK's `rs2::align` (`align.cpp`, `sse-align.cpp`): a depth pixel's
+    footprint runs from the projection of its corner at -0.5, -0.5 px to that of its corner at
+    +0.5, +0.5 px; every colour pixel from the one that holds the first to the one that holds the
+    second takes the depth; of several depths the nearest stays. One difference: the SDK's fast
+    path ignores the colour camera's lens unless it is `modified_brown_conrady`; here every
+    lens model is applied (a D435's colour stream has no distortion).
+
+    Examples
+    --------
+    >>> depth_m = np.zeros((3, 3), np.float32)
+    >>> depth_m[1, 1] = 0.5
+    >>> cameras = Intrinsics(3, 3, 10, 10, 1, 1), Intrinsics(4, 3, 6, 6, 1.3, 1.1)
+    >>> moved = align_depth_to_color(depth_m, *cameras, np.eye(3), [0.05, 0, 0])
+    >>> np.argwhere(moved > 0).tolist()
+    [[1, 2]]
+    """
+    sources = color_sources(depth_m, depth, color, rotation, translation_m)
+    return np.where(sources >= 0, depth_m.ravel()[sources], np.float32(0))
+
+
+def color_sources(
+    depth_m: Array32,
+    depth: Intrinsics,
+    color: Intrinsics,
+    rotation: ArrayLike,
+    translation_m: ArrayLike,
+) -> NDArray[np.int64]:
+    """Return the depth pixel that each colour pixel takes its reading from.
+
+    Parameters and errors are those of `align_depth_to_color`.
+
+    Returns
+    -------
+    ndarray of int64, shape (color height, color width)
+        Index into `depth_m.ravel()`; -1 where no depth pixel falls.
+    """
+    width, height = color.size
+    readings = np.flatnonzero(depth_m > 0)
+    # From far to near: of several readings of a colour pixel, the last is the nearest.
+    readings = readings[np.argsort(-depth_m.ravel()[readings], kind="stable")]
+    v, u = np.divmod(readings, depth_m.shape[1])
+    z = depth_m.ravel()[readings]
+
+    def corner(off_px: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        x, y = depth.rays(u + off_px, v + off_px)
+        moved = np.asarray(rotation, float) @ np.stack([x * z, y * z, z.astype(float)])
+        moved += np.reshape(translation_m, (3, 1))
+        # Points behind the colour camera have no pixel.
+        moved[2] = np.where(moved[2] > 0, moved[2], np.nan)
+        # The pixel that holds the point, by the cast that the SDK makes: towards zero.
+        pixels = np.trunc(color.project(moved.T) + 0.5)
+        px, py = np.nan_to_num(pixels, nan=-9.0).astype(np.int64).T
+        return px, py
+
+    (x0, y0), (x1, y1) = corner(-0.5), corner(0.5)
+    footprint = [max(float((b - a).max(initial=0)), 0) + 1 for a, b in ((x0, x1), (y0, y1))]
+    if math.prod(footprint) > _LARGEST_FOOTPRINT:
+        raise ValueError("a depth pixel covers thousands of colour pixels")
+    rank, order = np.full(height * width, -1), np.arange(len(readings))
+    for dy in range(int((y1 - y0).max(initial=-1)) + 1):
+        for dx in range(int((x1 - x0).max(initial=-1)) + 1):
+            x, y = x0 + dx, y0 + dy
+            part = (x <= x1) & (y <= y1) & (x >= 0) & (y >= 0) & (x < width) & (y < height)
+            nearest = np.full(height * width, -1)
+            nearest[y[part] * width + x[part]] = order[part]
+            np.maximum(rank, nearest, out=rank)
+    sources: NDArray[np.int64] = np.append(readings, -1)[rank]
+    return sources.reshape(height, width)
 
 
 MASKS = "mask_visib"

@@ -1,23 +1,24 @@
-"""Read pictures and arrays within size limits, with errors that name the file."""
+"""Read images within size limits, and convert depth to metres; wrong units are detected."""
 
 from __future__ import annotations
 
 import io
 import math
 import zlib
-from typing import TYPE_CHECKING, Any, cast
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from numpy.lib import format as npy
 
-from cucumbervision.errors import CaptureError, DepthError, wrap_reader_errors
+from cucumbervision.errors import CaptureError, DepthError, Message, joined, wrap_reader_errors
 from cucumbervision.files import read_bytes, read_text, write_bytes
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-    from numpy.typing import NDArray
+    from cucumbervision.arrays import Array32, Mask, Numbers, Pixels
 
 
 COLOR_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".ppm"})
@@ -35,7 +36,7 @@ _PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8"
 
 
-def read_color(path: Path) -> NDArray[np.uint8]:
+def read_color(path: Path) -> Pixels:
     """Read a colour picture.
 
     Returns
@@ -52,10 +53,10 @@ def read_color(path: Path) -> NDArray[np.uint8]:
 
     # Ignore the EXIF orientation, because depth would not be rotated with it.
     image = _decode(path, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-    return cast("NDArray[np.uint8]", cv2.cvtColor(image, cv2.COLOR_BGR2RGB))
+    return cast("Pixels", cv2.cvtColor(image, cv2.COLOR_BGR2RGB))
 
 
-def read_photo(path: Path) -> NDArray[np.uint8]:
+def read_photo(path: Path) -> Pixels:
     """Read a photo as a picture viewer shows it.
 
     Applies the EXIF orientation, and converts 16 bits to 8, grey to colour, and transparency to a
@@ -84,25 +85,22 @@ def read_photo(path: Path) -> NDArray[np.uint8]:
             opacity = alpha.astype(np.float32) / 255
             mixed = colour[part] * opacity + _GREY * (1 - opacity)
             colour[part] = np.rint(mixed).astype(np.uint8)
-    return cast("NDArray[np.uint8]", cv2.cvtColor(colour, cv2.COLOR_BGR2RGB))
+    return cast("Pixels", cv2.cvtColor(colour, cv2.COLOR_BGR2RGB))
 
 
-def _photo_levels(path: Path, image: NDArray[Any]) -> NDArray[np.uint8]:
+def _photo_levels(path: Path, image: Numbers) -> Pixels:
     import cv2
 
     if image.dtype == np.uint8:
         return image
     if image.dtype == np.uint16:
-        return cast("NDArray[np.uint8]", cv2.convertScaleAbs(image, alpha=1 / 257))
-    raise CaptureError(
-        "its levels are {kind}, whose range is unknown",
-        source=path,
-        remedy="save it with 8 or 16 bits a colour",
-        kind=image.dtype,
-    )
+        return cast("Pixels", cv2.convertScaleAbs(image, alpha=1 / 257))
+    remedy = "save it with 8 or 16 bits a colour"
+    fault = "its levels are {kind}, whose range is unknown"
+    raise CaptureError(fault, source=path, remedy=remedy, kind=image.dtype)
 
 
-def read_masks(paths: Sequence[Path], shape: tuple[int, ...]) -> tuple[NDArray[np.bool_], ...]:
+def read_masks(paths: Sequence[Path], shape: tuple[int, ...]) -> tuple[Mask, ...]:
     """Read mask pictures, in which nonzero pixels belong to the fruit.
 
     Parameters
@@ -110,13 +108,13 @@ def read_masks(paths: Sequence[Path], shape: tuple[int, ...]) -> tuple[NDArray[n
     paths : sequence of Path
         Single-channel pictures.
     shape : tuple of int
-        Required shape (H, W).
+        Their shape (H, W), which a `Capture` checks.
 
     Raises
     ------
     CaptureError
-        If a file is missing, truncated, no picture or of another size, or all of them together
-        take more than memory should hold.
+        If a file is missing, truncated or no image, or all of them together take more than memory
+        should hold.
     """
     if len(paths) * shape[0] * shape[1] > MOST_MASK_PIXELS:
         raise CaptureError(
@@ -124,25 +122,12 @@ def read_masks(paths: Sequence[Path], shape: tuple[int, ...]) -> tuple[NDArray[n
             source=paths[0].parent,
             remedy="give fewer masks, or smaller pictures",
         )
-    return tuple(_read_mask(path, shape) for path in paths)
-
-
-def _read_mask(path: Path, shape: tuple[int, ...]) -> NDArray[np.bool_]:
     import cv2
 
-    image = _decode(path, cv2.IMREAD_GRAYSCALE)
-    if image.shape != shape[:2]:
-        sizes = {"mask": image.shape, "picture": shape}
-        parts = {name: f"{size[1]}x{size[0]}" for name, size in sizes.items()}
-        fault, remedy = (
-            "the mask is {mask}, the picture {picture}",
-            "give a mask of the picture's size",
-        )
-        raise CaptureError(fault, source=path, remedy=remedy, **parts)
-    return image > 0
+    return tuple(_decode(path, cv2.IMREAD_GRAYSCALE) > 0 for path in paths)
 
 
-def read_depth(path: Path) -> NDArray[Any]:
+def read_depth(path: Path) -> Numbers:
     """Read the raw values of a depth picture: PNG, TIFF, PGM, CSV or `.npy`.
 
     Returns
@@ -170,35 +155,31 @@ def read_depth(path: Path) -> NDArray[Any]:
         )
     import cv2
 
-    _require_one_page(path, suffix)
+    read_bytes(path)  # a missing file is named
+    with suppress(cv2.error), _quiet_opencv():  # `_decode` names a damaged one
+        pages = cv2.imcount(str(path))
+        if pages > 1:
+            raise DepthError(
+                f"holds {pages} pages, and nothing tells which belongs to the colour picture",
+                source=path,
+                remedy="save the one that was taken with it as a picture of its own",
+            )
     return _decode(path, cv2.IMREAD_UNCHANGED)
 
 
-def _require_one_page(path: Path, suffix: str) -> None:
-    """Reject a picture of several pages or frames, because the correct one is unknown."""
-    data = read_bytes(path)
-    pages = 1
-    if suffix in {".tif", ".tiff"}:
-        import cv2
+@contextmanager
+def _quiet_opencv() -> Iterator[None]:
+    """Keep OpenCV from printing its own messages for a broken file."""
+    import cv2
 
-        level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-        try:
-            pages = cv2.imcount(str(path)) if path.is_file() else 1
-        except cv2.error:  # `_decode` says what is wrong
-            pages = 1
+    level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    try:
+        yield
+    finally:
         cv2.utils.logging.setLogLevel(level)
-    elif data.startswith(_PNG):
-        start = data.find(b"acTL", 0, 200)
-        pages = int.from_bytes(data[start + 4 : start + 8], "big") if start > 0 else 1
-    if pages > 1:
-        raise DepthError(
-            f"holds {pages} pages, and nothing tells which belongs to the colour picture",
-            source=path,
-            remedy="save the one that was taken with it as a picture of its own",
-        )
 
 
-def _read_table(path: Path) -> NDArray[Any]:
+def _read_table(path: Path) -> Numbers:
     text = read_text(path)
     first = text.partition("\n")[0]
     if "\t" in first or ";" in first:  # then a comma is a decimal one
@@ -212,7 +193,7 @@ def _read_table(path: Path) -> NDArray[Any]:
     return table.astype(np.int32) if is_integer and np.abs(table).max(initial=0) < 2**31 else table
 
 
-def read_array(path: Path) -> NDArray[Any]:
+def read_array(path: Path) -> Numbers:
     """Read an `.npy` file of numbers; never Python objects.
 
     Raises
@@ -234,7 +215,7 @@ def read_array(path: Path) -> NDArray[Any]:
         return flat.reshape(shape, order="F" if is_by_columns else "C")
 
 
-def _decode(path: Path, flags: int) -> NDArray[Any]:
+def _decode(path: Path, flags: int) -> Numbers:
     import cv2
 
     data = read_bytes(path)
@@ -242,19 +223,15 @@ def _decode(path: Path, flags: int) -> NDArray[Any]:
     truncated = (data.startswith(_PNG) and not _whole_png(data)) or (
         data.startswith(_JPEG) and b"\xff\xd9" not in data[-1024:]
     )
-    image = None
+    image, remedy = None, "copy or export it again"
     fault = "is truncated or damaged" if truncated else "is not a readable picture"
-    remedy = "copy or export it again"
     if not truncated:
-        # OpenCV would print its own messages for a broken file.
-        level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
         try:
-            image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+            with _quiet_opencv():
+                image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
         except cv2.error as error:
             if "CV_IO_MAX_IMAGE" in str(error):  # from the header, before memory is allocated
-                fault = "has more than {limit:g} million pixels"
-                remedy = "give a smaller picture"
-        cv2.utils.logging.setLogLevel(level)
+                fault, remedy = "has more than {limit:g} million pixels", "give a smaller picture"
     if image is None:
         raise CaptureError(fault, source=path, remedy=remedy, limit=MOST_PIXELS / 1e6)
     return image
@@ -274,7 +251,7 @@ def _whole_png(data: bytes) -> bool:
     return False
 
 
-def write_png(path: Path, image: NDArray[Any]) -> None:
+def write_png(path: Path, image: Numbers) -> None:
     """Write an RGB, grey or 16-bit picture.
 
     Raises
@@ -290,7 +267,7 @@ def write_png(path: Path, image: NDArray[Any]) -> None:
     write_bytes(path, data.tobytes())
 
 
-def write_jpeg(path: Path, color_rgb: NDArray[np.uint8], quality: int = 95) -> None:
+def write_jpeg(path: Path, color_rgb: Pixels, quality: int = 95) -> None:
     """Write an RGB picture.
 
     Raises
@@ -303,3 +280,207 @@ def write_jpeg(path: Path, color_rgb: NDArray[np.uint8], quality: int = 95) -> N
     bgr = np.ascontiguousarray(color_rgb[..., ::-1])
     _, data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, quality])
     write_bytes(path, data.tobytes())
+
+
+DEPTH_MIN_M, DEPTH_MAX_M = 0.1, 5.0
+
+
+def valid_depth(depth_m: Array32) -> Mask:
+    """Return which depth values are valid readings, between 0.1 and 5 m.
+
+    Parameters
+    ----------
+    depth_m : ndarray of float
+        Depth in metres, any shape; 0, NaN and infinity are no readings.
+
+    Returns
+    -------
+    ndarray of bool
+        The shape of `depth_m`.
+
+    Examples
+    --------
+    >>> valid_depth(np.array([0.0, 0.05, 0.5, 9.0, np.nan], np.float32))
+    array([False, False,  True, False, False])
+    """
+    # Comparisons with NaN are False, so NaN needs no separate test.
+    return (depth_m >= DEPTH_MIN_M) & (depth_m <= DEPTH_MAX_M)
+
+
+_FEW, _MOST = 0.01, 0.5
+_WHOLE = 0.01  # of a millimetre, to which float32 rounds whole ones
+_FINEST_M, _COARSEST_M = 1e-7, 10.0
+_UNIT_NAMES = {
+    1.0: "metres",
+    0.001: "millimetres",
+    0.0001: "steps of 0.1 mm",
+    0.0002: "steps of 0.2 mm",
+}
+
+
+def enlarge_depth(depth_m: Array32, width: int, height: int) -> Array32:
+    """Return depth with more pixels, each with the value of the nearest; nothing is interpolated.
+
+    Parameters
+    ----------
+    depth_m : ndarray of float32, shape (h, w)
+        Metres; 0 for no reading.
+    width, height : int
+        New size, pixels.
+
+    Examples
+    --------
+    >>> enlarge_depth(np.array([[0.5, 0.75]], np.float32), 4, 1)
+    array([[0.5 , 0.5 , 0.75, 0.75]], dtype=float32)
+    """
+    import cv2
+
+    size = (width, height)
+    return np.asarray(cv2.resize(depth_m, size, interpolation=cv2.INTER_NEAREST_EXACT), np.float32)
+
+
+def depth_to_metres(raw: Numbers, unit_m: float | None = None, *, source: object = None) -> Array32:
+    """Convert the raw values of a depth picture to metres.
+
+    Parameters
+    ----------
+    raw : ndarray, shape (H, W) or (H, W, 1)
+        Integers of at least 16 bits, or floats. NaN, infinity and negative values are invalid.
+    unit_m : float, optional
+        Metres per step; by default 0.001 for integers and 1 for floats.
+    source : object, optional
+        The file, for error messages.
+
+    Returns
+    -------
+    ndarray of float32, shape (H, W)
+        Metres; 0 for no reading. Readings outside 0.1 to 5 m are kept; see `valid_depth`.
+
+    Raises
+    ------
+    DepthError
+        If the picture has colour channels or 8 bits, the unit is implausible while metres or
+        millimetres are plausible, or the numbers are shares of the largest.
+
+    Examples
+    --------
+    >>> depth_to_metres(np.array([[0, 454]], np.uint16))
+    array([[0.   , 0.454]], dtype=float32)
+    >>> depth_to_metres(np.array([[np.nan, 0.454]]), source="a.npy", unit_m=0.001)
+    Traceback (most recent call last):
+    ...
+    cucumbervision.errors.DepthError: a.npy: depth is declared in millimetres, ...
+    """
+    if raw.ndim == 3 and raw.shape[2] == 1:
+        raw = raw[:, :, 0]
+    _check_kind(raw, source)
+    if unit_m is None:
+        _refuse_shares(raw, source)
+        unit_m = 1.0 if raw.dtype.kind == "f" else 0.001
+    if not _FINEST_M <= unit_m <= _COARSEST_M:
+        fault, remedy = "no camera's depth has steps of {unit:g} m", "correct the unit"
+        raise DepthError(fault, source=source, remedy=remedy, unit=unit_m)
+    _check_unit(raw, unit_m, source)
+    return scale_depth(raw, unit_m)
+
+
+def scale_depth(raw: Numbers, unit_m: float) -> Array32:
+    """Scale depth to metres without plausibility checks; invalid values become 0.
+
+    Examples
+    --------
+    >>> scale_depth(np.array([[-1.0, 454.0, np.nan]]), 0.001)
+    array([[0.   , 0.454, 0.   ]], dtype=float32)
+    """
+    # Multiply in double precision, so that 454 * 0.001 is the float32 nearest to 0.454.
+    depth_m: Array32 = np.multiply(raw, unit_m, dtype=np.float64).astype(np.float32)
+    if raw.dtype.kind != "u":
+        depth_m[~(np.isfinite(depth_m) & (depth_m > 0))] = 0.0
+    return depth_m
+
+
+def require_readings(depth_m: Array32, *, source: object = None) -> None:
+    """Raise an error if depth has no valid reading.
+
+    Raises
+    ------
+    DepthError
+        If no reading is between 0.1 and 5 m.
+    """
+    if valid_depth(depth_m).any():
+        return
+    readings = depth_m[depth_m > 0]
+    what = Message("every pixel is 0")
+    if readings.size:
+        ends = {"low": readings.min(), "high": readings.max()}
+        what = Message("readings run from {low:.4g} to {high:.4g} m", **ends)
+    raise DepthError(
+        "depth has no reading between {low} and {high:.0f} m: {what}",
+        source=source,
+        remedy="check the depth stream and its unit, and capture again",
+        low=DEPTH_MIN_M,
+        high=DEPTH_MAX_M,
+        what=what,
+    )
+
+
+def _check_kind(raw: Numbers, source: object) -> None:
+    if raw.ndim != 2 or not raw.size:
+        fault = (
+            "depth is {kind} {shape}, not one value a pixel; "
+            "a colourised picture of depth has no distances"
+        )
+    elif raw.dtype.itemsize < 2 or raw.dtype.kind not in "uif":
+        fault = "depth has {bits} bits ({kind}), a picture to look at and no distances"
+    else:
+        return
+    parts = {"kind": raw.dtype, "shape": raw.shape, "bits": 8 * raw.dtype.itemsize}
+    raise DepthError(fault, source=source, remedy="give the 16-bit depth itself", **parts)
+
+
+def _refuse_shares(raw: Numbers, source: object) -> None:
+    """Refuse numbers that were divided by the largest: relative depth has no metres."""
+    if raw.dtype.kind != "f":
+        return
+    readings = raw[np.isfinite(raw) & (raw > 0)]
+    if readings.max(initial=0.0) != 1.0 or readings.min() == 1.0:
+        return
+    steps = 1000.0 * readings
+    if (np.abs(steps - np.rint(steps)) > _WHOLE).mean() > _MOST:  # a camera's are whole millimetres
+        raise DepthError(
+            "depth is 1 at most, as shares of the largest distance are, which are no metres",
+            source=source,
+            remedy="give depth in metres; if it is, declare the depth unit 1 m",
+        )
+
+
+def _check_unit(raw: Numbers, unit_m: float, source: object) -> None:
+    inside = _share_inside(raw, unit_m)
+    if inside > _FEW:
+        return
+    shares = {candidate_m: _share_inside(raw, candidate_m) for candidate_m in _UNIT_NAMES}
+    fitting = [candidate_m for candidate_m, share in shares.items() if share > _MOST]
+    if fitting:
+        declared = _UNIT_NAMES.get(unit_m) or Message("steps of {unit:g} m", unit=unit_m)
+        raise DepthError(
+            "depth is declared in {declared}, but {outside:.0f} % of its readings then lie "
+            "outside {low} to {high:.0f} m; in {unit} {inside:.0f} % lie inside",
+            source=source,
+            remedy="declare the depth unit {units}",
+            units=joined((Message("{unit:g} m", unit=x) for x in fitting), "{first} or {second}"),
+            declared=declared,
+            outside=100 * (1 - inside),
+            low=DEPTH_MIN_M,
+            high=DEPTH_MAX_M,
+            unit=_UNIT_NAMES[fitting[0]],
+            inside=100 * shares[fitting[0]],
+        )
+
+
+def _share_inside(raw: Numbers, unit_m: float) -> float:
+    # Relative to all positive finite readings.
+    first_step, last_step = DEPTH_MIN_M / unit_m, DEPTH_MAX_M / unit_m
+    if raw.dtype.kind in "ui":  # comparing integers with integers is several times faster
+        first_step, last_step = math.ceil(first_step), math.floor(last_step)
+    readings = np.count_nonzero(raw > 0 if raw.dtype.kind in "ui" else (raw > 0) & np.isfinite(raw))
+    return int(np.count_nonzero((raw >= first_step) & (raw <= last_step))) / max(int(readings), 1)

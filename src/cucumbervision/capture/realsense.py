@@ -10,17 +10,16 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from cucumbervision.capture.depth import require_readings, scale_depth
 from cucumbervision.capture.frames import Capture, Stop, fuse_burst
-from cucumbervision.capture.intrinsics import Intrinsics, Stream
+from cucumbervision.capture.intrinsics import Distortion, Intrinsics, Stream
+from cucumbervision.capture.pictures import require_readings, scale_depth
 from cucumbervision.errors import CameraError, CaptureError, MissingExtraError
-from cucumbervision.tube.camera import Distortion
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from numpy.typing import NDArray
+    from cucumbervision.arrays import Array32, Pixels
 
 
 _STEP_MS = 200
@@ -207,8 +206,8 @@ class AlignedFrame:
         Seconds since the epoch; None if the camera's clock starts with the camera.
     """
 
-    color: NDArray[np.uint8]
-    depth_m: NDArray[np.float32]
+    color: Pixels
+    depth_m: Array32
     number: int
     timestamp_s: float | None
 
@@ -221,7 +220,7 @@ def burst_capture(
     place: object,
     **capture_fields: Any,
 ) -> Capture:
-    """Fuse a burst to a capture; `place` is for error messages, `about` are further fields.
+    """Fuse a burst to a capture; `place` is for error messages, the rest are further fields of it.
 
     Raises
     ------
@@ -336,8 +335,7 @@ class RealSenseCamera:
                 self._resuming.start()
             else:
                 apply_settings(rs, device, self.config.settings, self._source)
-            for _ in range(self.config.warm_up):
-                self._next_frame()
+            self.read_burst([], self.config.warm_up)
         except RuntimeError as error:
             self.close()
             raise self._fault(error) from None
@@ -410,9 +408,12 @@ class RealSenseCamera:
             If no pixel of the burst has a reading between 0.1 and 5 m.
         """
         if self.config.playback is None and time.monotonic() - self._taken_s > _STALE_S:
-            for _ in range(_QUEUED):  # queued frames were captured before this call
-                self._next_frame()
-        frames = [self._next_frame() for _ in range(self.config.burst)]
+            self.read_burst([], _QUEUED)  # queued frames were captured before this call
+        frames: list[AlignedFrame] = []
+        self.read_burst(frames, self.config.burst)
+        if len(frames) < self.config.burst:
+            fault, remedy = "the recording is over", "play a longer one"
+            raise CameraError(fault, source=self._source, remedy=remedy)
         self._taken_s = time.monotonic()
         return burst_capture(
             frames,
@@ -462,13 +463,12 @@ class RealSenseCamera:
             seconds=self.config.timeout_s,
         )
 
-    def _next_frame(self) -> AlignedFrame:
-        frame = self.read()
-        if frame is None:
-            raise CameraError(
-                "the recording is over", source=self._source, remedy="play a longer one"
-            )
-        return frame
+    def read_burst(self, frames: list[AlignedFrame], size: int) -> None:
+        """Append frames until there are `size` of them, or a recording ends; raises as `read`."""
+        while len(frames) < size and (frame := self.read()) is not None:
+            # In a recording a slower colour stream is repeated with each new depth frame.
+            if not (self._is_recorded and frames and frame.number == frames[-1].number):
+                frames.append(frame)
 
     def _is_over(self) -> bool:
         if not self._is_recorded:
@@ -488,13 +488,10 @@ class RealSenseCamera:
     def _read_profile(self, profile: Any) -> None:
         rs = self._rs
         kinds = {s.stream_type() for s in profile.get_streams()}
-        for kind, name in ((rs.stream.color, "colour"), (rs.stream.depth, "depth")):
-            if kind not in kinds:
-                raise CaptureError(
-                    f"has no {name} stream",
-                    source=self._source,
-                    remedy="record colour and depth together",
-                )
+        names = {rs.stream.color: "colour", rs.stream.depth: "depth"}
+        if missing := [name for kind, name in names.items() if kind not in kinds]:
+            fault, remedy = f"has no {missing[0]} stream", "record colour and depth together"
+            raise CaptureError(fault, source=self._source, remedy=remedy)
         lens = profile.get_stream(rs.stream.color).as_video_stream_profile().get_intrinsics()
         k1, k2, p1, p2, k3 = (float(c) for c in lens.coeffs)
         pinhole = lens.width, lens.height, lens.fx, lens.fy, lens.ppx, lens.ppy
@@ -505,15 +502,10 @@ class RealSenseCamera:
         # The SDK uses single precision: 0.0010000000475 is 0.001.
         scale = device.first_depth_sensor().get_depth_scale()
         self._unit_m = float(f"{scale:.6g}")
-        self.device = {
-            name: device.get_info(info)
-            for name, info in (
-                ("camera", rs.camera_info.name),
-                ("serial", rs.camera_info.serial_number),
-                ("firmware", rs.camera_info.firmware_version),
-            )
-            if device.supports(info)
-        }
+        info = rs.camera_info
+        details = {"camera": info.name, "serial": info.serial_number}
+        details["firmware"] = info.firmware_version
+        self.device = {k: device.get_info(v) for k, v in details.items() if device.supports(v)}
         self._align = rs.align(rs.stream.color)
 
     def _lens_model(self, lens: Any) -> Distortion:
@@ -542,7 +534,7 @@ class RealSenseCamera:
             color.get_timestamp() / 1000 if epoch else None,
         )
 
-    def _rgb(self, frame: Any) -> NDArray[np.uint8]:
+    def _rgb(self, frame: Any) -> Pixels:
         import cv2
 
         name = str(frame.get_profile().format()).removeprefix("format.")

@@ -70,14 +70,9 @@ class ReadOptions:
 
     def with_camera(self, camera: CameraFile | None) -> ReadOptions:
         """Return the options, completed by what a camera file states."""
-        if camera is None:
-            return self
-        return replace(
-            self,
-            depth_unit_m=self.depth_unit_m or camera.depth_unit_m,
-            depth_along=self.depth_along or camera.depth_along,
-            aligned_to=self.aligned_to or camera.aligned_to,
-        )
+        names = ("depth_unit_m", "depth_along", "aligned_to") if camera else ()
+        stated = {name: getattr(self, name) or getattr(camera, name) for name in names}
+        return replace(self, **stated)
 
     def __post_init__(self) -> None:
         for name in ("intrinsics", "depth"):
@@ -247,15 +242,7 @@ class CaptureSource:
         refs, taken = [], set[str]()
         for text, frame, load, address, files in parts:
             name = unique_name(safe_name(text), taken)
-            refs.append(
-                CaptureRef(
-                    name=name,
-                    frame=frame,
-                    load=partial(load, name),
-                    location=str(address),
-                    parts=files,
-                )
-            )
+            refs.append(CaptureRef(name, frame, partial(load, name), str(address), files))
         return cls(path, kind, lambda: iter(refs), len(refs))
 
 

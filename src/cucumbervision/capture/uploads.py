@@ -9,7 +9,7 @@ import unicodedata
 import uuid
 import zipfile
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import IO, TYPE_CHECKING, Any, BinaryIO
@@ -58,8 +58,8 @@ class Limits:
     ----------
     files : int
         Maximum number of files.
-    file_bytes, total_bytes : int
-        Maximum size of one file, and of all files.
+    total_bytes : int
+        Maximum size of all files.
     members : int
         Maximum number of files in all zips of an upload.
     unpacked_bytes : int
@@ -69,7 +69,6 @@ class Limits:
     """
 
     files: int = 500
-    file_bytes: int = 2 * _GB
     total_bytes: int = 4 * _GB
     members: int = 5000
     unpacked_bytes: int = 8 * _GB
@@ -159,28 +158,6 @@ class AcceptedSource:
         return ": ".join(filter(None, (title, inside)))
 
 
-@dataclass(frozen=True)
-class AcceptedUploads:
-    """Result of an upload.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of the upload; does not exist if nothing was accepted.
-    sources : list of AcceptedSource
-        Accepted sources of captures.
-    refused : list of CucumberVisionError
-        Errors of rejected files, with the sender's names.
-    ignored : list of str
-        Files that are not needed.
-    """
-
-    folder: Path
-    sources: list[AcceptedSource] = field(default_factory=list)
-    refused: list[CucumberVisionError] = field(default_factory=list)
-    ignored: list[str] = field(default_factory=list)
-
-
 def accept_uploads(
     files: Sequence[tuple[str, BinaryIO | Path]], folder: Path, limits: Limits | None = None
 ) -> AcceptedUploads:
@@ -218,21 +195,20 @@ def accept_uploads(
     """
     limits = limits or Limits()
     require_few(files, limits)
-    batch = folder / f"upload-{uuid.uuid4().hex[:12]}"
-    intake = _Intake(AcceptedUploads(batch), limits)
+    uploads = AcceptedUploads(folder / f"upload-{uuid.uuid4().hex[:12]}", limits)
     try:
         with wrap_os_errors("uploads cannot be kept", folder, "choose another folder", UploadError):
-            intake.out.folder.mkdir(parents=True)
+            uploads.folder.mkdir(parents=True)
             for number, (name, content) in enumerate(files):
-                intake.receive(number, name, content)
-            if intake.loose.exists():
-                intake.sort(intake.loose, LOOSE)
-            if not intake.out.sources:
-                shutil.rmtree(batch)
+                uploads.receive(number, name, content)
+            if uploads.loose.exists():
+                uploads.sort(uploads.loose, LOOSE)
+            if not uploads.sources:
+                shutil.rmtree(uploads.folder)
     except BaseException:
-        shutil.rmtree(batch, ignore_errors=True)
+        shutil.rmtree(uploads.folder, ignore_errors=True)
         raise
-    return intake.out
+    return uploads
 
 
 def require_few(files: Sequence[object], limits: Limits) -> None:
@@ -252,14 +228,32 @@ def require_few(files: Sequence[object], limits: Limits) -> None:
         )
 
 
-class _Intake:
-    """State of an upload while it is processed."""
+class AcceptedUploads:
+    """Result of an upload.
 
-    def __init__(self, out: AcceptedUploads, limits: Limits) -> None:
-        self.out, self.limits = out, limits
-        self.loose = out.folder / LOOSE
-        self._bytes_left, self._unpacked_left = limits.total_bytes, limits.unpacked_bytes
-        self._members_left = limits.members
+    Parameters
+    ----------
+    folder : Path
+        Folder of the upload; does not exist if nothing was accepted.
+    limits : Limits
+        Its limits.
+
+    Attributes
+    ----------
+    sources : list of AcceptedSource
+        Accepted sources of captures.
+    refused : list of CucumberVisionError
+        Errors of rejected files, with the sender's names.
+    ignored : list of str
+        Files that are not needed.
+    """
+
+    def __init__(self, folder: Path, limits: Limits) -> None:
+        self.folder, self.loose, self._limits = folder, folder / LOOSE, limits
+        self._left = dict(vars(limits))
+        self.sources: list[AcceptedSource] = []
+        self.refused: list[CucumberVisionError] = []
+        self.ignored: list[str] = []
 
     def receive(self, number: int, name: str, content: BinaryIO | Path) -> None:
         """Store one file; a zip is unpacked at once."""
@@ -268,30 +262,35 @@ class _Intake:
             if isinstance(content, Path) and not content.is_file():
                 raise UploadError("is not a readable file", source=title, remedy="check the path")
             with content.open("rb") if isinstance(content, Path) else nullcontext(content) as file:
-                self._require_size(title, file.seek(0, os.SEEK_END))
-                self._bytes_left -= file.tell()
-                if self._bytes_left < 0:
-                    raise _too_large(title, self.limits.total_bytes)
-                file.seek(0)
-                is_zip = file.read(4) in _ZIP and not title.lower().endswith(".npz")
-                if is_zip:
-                    self._unpack(file, self.out.folder / f"{number:04d}", title)
-                elif not file.seek(0, os.SEEK_END):
+                size, _ = file.seek(0, os.SEEK_END), file.seek(0)
+                self._take("total_bytes", size, title)
+                head, _ = file.read(4), file.seek(0)
+                if head in _ZIP and not title.lower().endswith(".npz"):
+                    self._unpack(file, self.folder / f"{number:04d}", title)
+                elif not size:
                     raise UploadError("the file is empty", source=title, remedy="copy it again")
                 else:
-                    file.seek(0)
                     _store(file, self._loose_path(name), title)
         except DiskFullError:  # no fault of the file: the others cannot be kept, either
             raise
         except CucumberVisionError as error:
-            self.out.refused.append(error)
+            self.refused.append(error)
+
+    def _take(self, kind: str, size: int, title: str) -> None:
+        """Refuse a file that is too large, or for which there is no room left."""
+        self._left[kind] -= size
+        is_long = PurePosixPath(title).suffix.lower() in _TEXTS and size > self._limits.text_bytes
+        if is_long or self._left[kind] < 0:
+            most = self._limits.text_bytes if is_long else getattr(self._limits, kind)
+            fault = "is more than the {size:g} MB that are taken"
+            raise UploadError(fault, source=title, remedy=_SMALLER, size=most / 1e6)
 
     def sort(self, path: Path, title: str) -> None:
         """Find the captures of a folder, and report the files that belong to none."""
         folder, source = list_folder(path), AcceptedSource(path, title)
-        kinds, everything, refused = folder.kinds(), {*folder}, len(self.out.refused)
+        kinds, everything, refused = folder.kinds(), {*folder}, len(self.refused)
         if is_used := bool(find_captures(folder)):
-            self.out.sources.append(source)
+            self.sources.append(source)
         unread = sorted(folder)
         used = {PurePosixPath(name).parent for name in everything.difference(unread)}
         for name in map(PurePosixPath, unread):
@@ -300,10 +299,10 @@ class _Intake:
             is_lone = suffix in _PICTURES and used.isdisjoint(name.parents)
             is_unknown = title == LOOSE and suffix not in _TEXTS | {".csv"}
             if suffix in RECORDING_SUFFIXES or is_lone or is_unknown:
-                self.out.refused.append(_left_alone(shown_name, suffix))
+                self.refused.append(_left_alone(shown_name, suffix))
             else:
-                self.out.ignored.append(shown_name)
-        if title != LOOSE and not is_used and refused == len(self.out.refused):
+                self.ignored.append(shown_name)
+        if title != LOOSE and not is_used and refused == len(self.refused):
             fault = "holds no captures that can be recognised, but {kinds}"
             raise UploadError(fault, source=title, remedy=_REMEDY, kinds=kinds)
 
@@ -316,56 +315,36 @@ class _Intake:
         path.parent.mkdir(parents=True, exist_ok=True)
         return path
 
-    def _require_size(self, title: str, size: int) -> None:
-        is_text = PurePosixPath(title).suffix.lower() in _TEXTS
-        most_bytes = self.limits.text_bytes if is_text else self.limits.file_bytes
-        if size > most_bytes:
-            raise _too_large(title, most_bytes)
-
     def _unpack(self, file: BinaryIO, folder: Path, title: str) -> None:
         """Unpack a zip; an incomplete zip is rejected completely."""
-        bounded: Any = _Bounded(file, max(self.limits.members * _ENTRY_BYTES, 2 << 20))
+        bounded: Any = _Bounded(file, max(self._limits.members * _ENTRY_BYTES, 2 << 20))
         try:
             with (
                 wrap_reader_errors(title, UploadError, "pack or copy it again"),
                 zipfile.ZipFile(bounded) as archive,
             ):
-                for member, name in self._members(archive, title):
+                members = [member for member in archive.infolist() if not member.is_dir()]
+                names = [_member_path(member.filename, title) for member in members]
+                self._left["members"] -= len(members)
+                if self._left["members"] < 0:
+                    fault, most = "holds more than {files} files", self._limits.members
+                    raise UploadError(fault, source=title, remedy=_SMALLER, files=most)
+                for member, name in zip(members, names, strict=True):
                     member_title = f"{title}: {name}"
                     try:
-                        self._require_size(member_title, member.file_size)
+                        # Unpacking gives no more bytes than the directory states.
+                        self._take("unpacked_bytes", member.file_size, member_title)
                     except UploadError as error:
                         if name.suffix.lower() not in _TEXTS:
                             raise error.at(title) from None
-                        self.out.refused.append(error)
+                        self.refused.append(error)
                         continue
-                    # Unpacking gives no more bytes than the directory states.
-                    self._unpacked_left -= member.file_size
-                    if self._unpacked_left < 0:
-                        raise _too_large(title, self.limits.unpacked_bytes)
                     with archive.open(member) as packed:
                         _store(packed, folder / name, member_title)
             self.sort(folder, title)
         except BaseException:
             shutil.rmtree(folder, ignore_errors=True)
             raise
-
-    def _members(
-        self, archive: zipfile.ZipFile, title: str
-    ) -> list[tuple[zipfile.ZipInfo, PurePosixPath]]:
-        """Return a zip's files with their paths inside it, after checking all of them."""
-        files = (member for member in archive.infolist() if not member.is_dir())
-        members = [(member, _member_path(member.filename, title)) for member in files]
-        self._members_left -= len(members)
-        if self._members_left < 0:
-            fault, most = "holds more than {files} files", self.limits.members
-            raise UploadError(fault, source=title, remedy=_SMALLER, files=most)
-        return members
-
-
-def _too_large(title: str, most_bytes: int) -> UploadError:
-    fault, size = "is more than the {size:g} MB that are taken", most_bytes / 1e6
-    return UploadError(fault, source=title, remedy=_SMALLER, size=size)
 
 
 def _store(content: IO[bytes], target: Path, title: str) -> None:
@@ -416,13 +395,12 @@ def _left_alone(file_title: str, suffix: str) -> CaptureError:
         fault = "has no matching picture: a capture is a colour and a depth picture"
         remedy = "send both, named alike but for the words color and depth, and an intrinsics.json"
         return CaptureError(fault, source=file_title, remedy=remedy)
+    fault = "is not a file type we can read"
+    remedy = "send PNG, JPEG or TIFF pictures, .npy, JSON, or a zip of them"
     if suffix in RECORDING_SUFFIXES:
         fault = "is a recording, which is only read on the computer where it lies"
         remedy = (
             "copy it to the computer that measures: `cucumbervision round add FILE` there adds "
             "its captures to the newest round"
         )
-    else:
-        fault = "is not a file type we can read"
-        remedy = "send PNG, JPEG or TIFF pictures, .npy, JSON, or a zip of them"
     return UploadError(fault, source=file_title, remedy=remedy)

@@ -79,8 +79,8 @@ def columns_table(title: str | None, text_columns: Sequence[str], *right: str) -
 def print_table(console: Console, figures: statistics.ReportTable) -> None:
     """Print a report's table, and its comment below."""
     printed = Table(title=figures.title, title_justify="left")
-    for column, numeric in zip(figures.columns, figures.numeric, strict=True):
-        printed.add_column(column.head, justify="right" if numeric else "left")
+    for head, numeric in zip(figures.heads, figures.numeric, strict=True):
+        printed.add_column(head, justify="right" if numeric else "left")
     for row in figures.text_rows():
         printed.add_row(*row)
     console.print(printed, markup=False, emoji=False)

@@ -26,8 +26,9 @@ from cucumbervision.methods.result import (
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
+    from cucumbervision.arrays import Array
     from cucumbervision.crop.profiles import CropProfile
 
 
@@ -47,7 +48,7 @@ _SAME_M = 1e-8  # lengths nearer than that are equal: 0.1 + 0.15 m is 25 cm
 
 
 def possible_classes(
-    low_m: float, high_m: float, edges_m: NDArray[np.float64], names: Sequence[str]
+    low_m: float, high_m: float, edges_m: Array, names: Sequence[str]
 ) -> tuple[str, ...]:
     """Return the classes that an interval of the length spans, without repeats, shortest first.
 
@@ -115,7 +116,7 @@ def choice_words(names: Iterable[str]) -> str:
     return joined(words, "{first} or {second}")
 
 
-def share_below(length: Length, limit_m: ArrayLike) -> NDArray[np.float64]:
+def share_below(length: Length, limit_m: ArrayLike) -> Array:
     """Return the probability that a length with an interval is below each limit in metres, float64.
 
     The intervals are conformal, with a miss rate of 5 % on each side. Their ends and the median
@@ -196,15 +197,13 @@ class GradingTraits:
         """
         kinds: dict[str, Any] = {str(kind): kind for kind in (*LengthKind, *LengthDefinition)}
         kind, interval_of = (kinds.get(str(row.get(x))) for x in ("length_kind", "interval_of"))
-        value_m, low_m, high_m, thread_m, centreline_m, chord_m = (
-            _number(row, f"{name}_cm", 100)
-            for name in ("length", "interval_low", "interval_high", "thread", "centreline", "chord")
+        value_m, *interval_m = (
+            _number(row, f"{x}_cm", 100) for x in ("length", "interval_low", "interval_high")
         )
-        length = None
-        if value_m is not None and kind is not None:
-            length = Length(value_m, kind, low_m, high_m, interval_of)
+        is_known = value_m is not None and kind is not None
         return cls(
-            *(thread_m, centreline_m, chord_m, length),
+            *(_number(row, f"{name}_cm", 100) for name in ("thread", "centreline", "chord")),
+            length=Length(value_m, kind, *interval_m, interval_of) if is_known else None,
             inner_arc_mm_per_10cm=_number(row, "inner_arc_mm_per_10cm"),
             diameter_max_m=_number(row, "diameter_max_mm", 1000),
             volume_m3=_number(row, "volume_ml", 1e6),
@@ -332,10 +331,17 @@ def grade(fruit: Any, profile: CropProfile) -> Grade:
     mass_g = profile.mass_g(fruit.volume_m3) if is_sized and fruit.volume_m3 is not None else None
     length_cm = round(100 * length.value_m, 6) if length else 0.0
     is_possible = profile.acceptance.min_cm <= length_cm <= profile.acceptance.max_cm
-    if length is None or not is_possible:
-        fields = _refused(length_cm, profile) if length else _without_length(fruit, profile)
-        fields = {"name": UNDECIDED, "rules": (), "possible": profile.outcomes, **fields}
-        return Grade(probabilities={}, mass_g=mass_g, **fields)
+    if length is None:
+        missing = (f"{profile.length} length: no tube could be fitted, or it was not measured",)
+        is_measured = fruit.length is not None
+        name = UNDECIDED if is_measured else NOT_MEASURED
+        reason = f"no {profile.length} length" if is_measured else ""
+        ungraded = Grade(GradeStatus.MISSING, name, (), {}, missing, reason=reason)
+        return replace(ungraded, mass_g=mass_g, possible=profile.outcomes)
+    if not is_possible:
+        rules, reason = (_refusal(length_cm, profile),), "such a length cannot be"
+        ungraded = Grade(GradeStatus.REFUSED, UNDECIDED, rules, {}, reason=reason)
+        return replace(ungraded, mass_g=mass_g, possible=profile.outcomes)
     checks = shape, weight, width = (
         _shape(fruit.inner_arc_mm_per_10cm, profile),
         _weight(mass_g, fruit.chord_m, profile) if is_sized else _Check(),
@@ -366,15 +372,8 @@ def grade(fruit: Any, profile: CropProfile) -> Grade:
     )
 
 
-def _without_length(fruit: Any, profile: CropProfile) -> dict[str, Any]:
-    missing = (f"{profile.length} length: no tube could be fitted, or it was not measured",)
-    name = {"name": NOT_MEASURED} if fruit.length is None else {}
-    reason = "" if name else f"no {profile.length} length"
-    return {"verdict": GradeStatus.MISSING, "missing": missing, "reason": reason, **name}
-
-
-def _refused(length_cm: float, profile: CropProfile) -> dict[str, Any]:
-    rule = Message(
+def _refusal(length_cm: float, profile: CropProfile) -> Message:
+    return Message(
         "refused: {kind} length {length:.1f} cm cannot be, {crop} is accepted from {low:g} to "
         "{high:g} cm; measure again",
         kind=Message(profile.length),
@@ -383,8 +382,6 @@ def _refused(length_cm: float, profile: CropProfile) -> dict[str, Any]:
         low=profile.acceptance.min_cm,
         high=profile.acceptance.max_cm,
     )
-    reason = "such a length cannot be"
-    return {"verdict": GradeStatus.REFUSED, "rules": (rule,), "reason": reason}
 
 
 def _range_m(fruit: Any, length: Length) -> tuple[float, float]:
@@ -483,20 +480,15 @@ def _shape(arc_mm: float | None, profile: CropProfile) -> _Check:
     if not profile.shape or arc_mm is None:
         missing = "inner arc height: taken as straight" if profile.shape else ""
         return _Check(missing=missing)
-    names = [c.name for c in profile.classes]
-    limits = (
-        math.inf if band.max_mm_per_10cm is None else band.max_mm_per_10cm for band in profile.shape
-    )
-    bands = (band for band, limit in zip(profile.shape, limits, strict=True) if arc_mm <= limit)
-    band = next(bands, profile.shape[-1])
+    names, bands = [c.name for c in profile.classes], profile.shape
+    band = next((b for b in bands if arc_mm <= (b.max_mm_per_10cm or math.inf)), bands[-1])
     better = frozenset(names[: names.index(band.best_class)])
     if not better:
         return _Check(band.name)
     rule = "at best class {name}, {shape}: inner arc {arc:.1f} mm for each 10 cm of chord"
     parts = {"name": band.best_class, "shape": Message(band.name), "arc": arc_mm}
-    return _Check(
-        band.name, better, _sourced(Message(rule, **parts), profile, "shape"), "", band.name
-    )
+    rule = _sourced(Message(rule, **parts), profile, "shape")
+    return _Check(band.name, better, rule, reason=band.name)
 
 
 def _weight(mass_g: float | None, chord_m: float | None, profile: CropProfile) -> _Check:

@@ -7,7 +7,7 @@ import tomllib
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, Self, TypeVar
+from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -17,42 +17,39 @@ from cucumbervision.files import parse_model, read_bytes
 from cucumbervision.methods.result import LengthDefinition
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from cucumbervision.arrays import Array
 
 _TOO_SHORT, TOO_LONG = "too short", "too long"  # out of grade, and on which side
 
 Positive = Annotated[float, Field(gt=0)]
-
-RangeT = TypeVar("RangeT", "SizeLimits", "LengthClass")
-
-
-def _min_before_max(entry: RangeT) -> RangeT:
-    if entry.min_cm >= entry.max_cm:
-        raise ValueError(f"min_cm {entry.min_cm:g} must be less than max_cm {entry.max_cm:g}")
-    return entry
 
 
 class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, frozen=True)
 
 
-class SizeLimits(_Strict):
-    """Plausible lengths and mean diameters of this crop in cm; others are measurement errors."""
-
+class _Range(_Strict):
     min_cm: Positive
     max_cm: Positive
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.min_cm >= self.max_cm:
+            raise ValueError(f"min_cm {self.min_cm:g} must be less than max_cm {self.max_cm:g}")
+        return self
+
+
+class SizeLimits(_Range):
+    """Plausible lengths and mean diameters of this crop in cm; others are measurement errors."""
+
     min_diameter_cm: Positive = 0.1
     max_diameter_cm: Positive = 100.0
-    _ordered = model_validator(mode="after")(_min_before_max)
 
 
-class LengthClass(_Strict):
+class LengthClass(_Range):
     """A class by length: from `min_cm`, inclusive, to `max_cm`, exclusive."""
 
     name: Annotated[str, Field(min_length=1)]
-    min_cm: Positive
-    max_cm: Positive
-    _ordered = model_validator(mode="after")(_min_before_max)
 
 
 class ShapeBand(_Strict):
@@ -213,7 +210,7 @@ class CropProfile(_Strict):
         return 1000 * volume_m3 * self.density.kg_m3
 
     @property
-    def edges_m(self) -> NDArray[np.float64]:
+    def edges_m(self) -> Array:
         """Limits between classes, metres, ascending, float64."""
         cuts = {c.min_cm for c in self.classes} | {c.max_cm for c in self.classes}
         return np.array(sorted(cuts)) / 100
@@ -289,12 +286,11 @@ def profiles() -> tuple[ProfileEntry, ...]:
     >>> [entry.name for entry in profiles() if entry.shipped]
     ['aubergine', 'courgette', 'green-bean', 'long-cucumber', 'mini-cucumber']
     """
-    user_profiles = [
-        _entry(path, shipped=False) for path in sorted(profiles_folder().glob("*.toml"))
-    ]
-    names = {entry.name for entry in user_profiles}
-    shipped = [_entry(path, shipped=True) for path in sorted(_SHIPPED.glob("*.toml"))]
-    return (*user_profiles, *(entry for entry in shipped if entry.name not in names))
+    entries: dict[str, ProfileEntry] = {}
+    for folder in (profiles_folder(), _SHIPPED):
+        for path in sorted(folder.glob("*.toml")):
+            entries.setdefault(path.stem, _entry(path, shipped=folder is _SHIPPED))
+    return tuple(entries.values())
 
 
 def load_profile(name_or_path: str | Path) -> CropProfile:
@@ -349,9 +345,7 @@ def _entry(path: Path, *, shipped: bool) -> ProfileEntry:
     try:
         return ProfileEntry(path.stem, path, shipped, _read(path))
     except ProfileError as error:
-        return ProfileEntry(
-            name=path.stem, path=path, shipped=shipped, profile=None, fault=str(error)
-        )
+        return ProfileEntry(path.stem, path, shipped, None, str(error))
 
 
 def _read(path: Path) -> CropProfile:

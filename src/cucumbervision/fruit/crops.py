@@ -1,4 +1,4 @@
-"""Crops of the picture for the networks that look at a fruit and at its ends."""
+"""Crops of the image for the networks that look at a fruit and at its ends."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ from cucumbervision.fruit.masks import distances_inside, mask_pixels, mask_windo
 from cucumbervision.tube.shape import arc_positions
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from cucumbervision.arrays import Array, Array32, Ints, Mask, Pixels
     from cucumbervision.capture.intrinsics import Intrinsics
 
 
@@ -21,37 +20,37 @@ HEIGHT_PX, WIDTH_PX = 112, 256
 """Size of a crop."""
 
 _ALONG, _ACROSS = 1.45, 1.6  # the crop's sides, in extents of the mask
-_LEAST_STEP_PX = 0.25  # of the picture: a smaller fruit fills less of the crop
+_LEAST_STEP_PX = 0.25  # of the image: a smaller fruit fills less of the crop
 
 
 @dataclass(frozen=True, eq=False)
 class FruitCrop:
-    """The picture around one detected fruit.
+    """The image around one detected fruit.
 
     Parameters
     ----------
     planes : ndarray of uint8, shape (HEIGHT_PX, WIDTH_PX, 6)
         As `crop_planes` returns them. The mask's longer axis is horizontal.
     middle_px : ndarray of float64, shape (2,)
-        u, v of the crop's middle in the picture.
+        u, v of the crop's middle in the image.
     along : ndarray of float64, shape (2,)
-        Unit vector of the crop's rows in the picture.
+        Unit vector of the crop's rows in the image.
     step_px : float
-        Picture pixels of a crop pixel.
+        Image pixels of a crop pixel.
     """
 
-    planes: NDArray[np.uint8]
-    middle_px: NDArray[np.float64]
-    along: NDArray[np.float64]
+    planes: Pixels
+    middle_px: Array
+    along: Array
     step_px: float
 
     @property
-    def axes(self) -> NDArray[np.float64]:
-        """The crop's two directions in the picture, as rows of a matrix, of one crop pixel each."""
+    def axes(self) -> Array:
+        """The crop's two directions in the image, as rows of a matrix, of one crop pixel each."""
         return self.step_px * np.array([self.along, [-self.along[1], self.along[0]]])
 
-    def to_picture(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Convert points of the crop to picture pixels, both of shape (N, 2).
+    def to_picture(self, points: Array) -> Array:
+        """Convert points of the crop to image pixels, both of shape (N, 2).
 
         Examples
         --------
@@ -62,32 +61,29 @@ class FruitCrop:
         """
         return np.asarray((points - _MIDDLE) @ self.axes + self.middle_px)
 
-    def to_crop(self, points_px: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Convert picture pixels to points of the crop, both of shape (N, 2)."""
+    def to_crop(self, points_px: Array) -> Array:
+        """Convert image pixels to points of the crop, both of shape (N, 2)."""
         inverse = self.axes.T / self.step_px**2
         return np.asarray((points_px - self.middle_px) @ inverse + _MIDDLE)
 
-    def mask_in_picture(
-        self, log_odds: NDArray[np.float32], shape: tuple[int, int]
-    ) -> NDArray[np.bool_]:
-        """Return the picture's pixels at which log-odds given for the crop's pixels are positive.
+    def mask_in_picture(self, log_odds: Array32, shape: tuple[int, int]) -> Mask:
+        """Return the image's pixels at which log-odds given for the crop's pixels are positive.
 
         Parameters
         ----------
         log_odds : ndarray of float32, shape (HEIGHT_PX, WIDTH_PX)
             Interpolated linearly between the crop's pixels.
         shape : tuple of int
-            Height and width of the picture.
+            Height and width of the image.
         """
         import cv2
 
         inverse = self.axes.T / self.step_px**2
         offset = _MIDDLE - self.middle_px @ inverse
-        picture_to_crop = np.column_stack([inverse.T, offset])
         warped = cv2.warpAffine(
             np.ascontiguousarray(log_odds, np.float32),
-            picture_to_crop,
-            (shape[1], shape[0]),
+            np.column_stack([inverse.T, offset]),
+            shape[::-1],
             flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
             borderMode=cv2.BORDER_CONSTANT,
             borderValue=-1.0,
@@ -99,18 +95,18 @@ _MIDDLE = np.array([(WIDTH_PX - 1) / 2, (HEIGHT_PX - 1) / 2])
 
 
 def fruit_crop(
-    color_rgb: NDArray[np.uint8],
-    depth_m: NDArray[np.float32] | None,
-    mask: NDArray[np.bool_],
+    color_rgb: Pixels,
+    depth_m: Array32 | None,
+    mask: Mask,
     focal_px: float | None,
     size_px: tuple[int, int] = (HEIGHT_PX, WIDTH_PX),
 ) -> FruitCrop | None:
-    """Cut out the picture around one mask.
+    """Cut out the image around one mask.
 
     Parameters
     ----------
     color_rgb : ndarray of uint8, shape (H, W, 3)
-        The picture.
+        The image.
     depth_m : ndarray of float32, shape (H, W), optional
         Metres, aligned to colour; 0 for no reading.
     mask : ndarray of bool, shape (H, W)
@@ -139,27 +135,18 @@ def fruit_crop(
         return None
     middle_px, along, step_px, radius_px = _frame_of(mask, window)
     places_px = crop_places(middle_px, along, step_px, size_px)
-    surface_m = (
-        None if depth_m is None or focal_px is None else _surface_m(depth_m[window], mask[window])
-    )
-    if surface_m is None or focal_px is None:
-        planes = crop_planes(color_rgb, None, mask, places_px, step_px)
-    else:
-        radius_m = max(radius_px * surface_m / focal_px, 1e-3)
-        planes = crop_planes(color_rgb, depth_m, mask, places_px, step_px, surface_m, radius_m)
+    planes = crop_planes(color_rgb, mask, places_px, step_px)
+    if depth_m is not None and focal_px is not None:
+        read_m = depth_m[window][mask[window]]
+        read_m = read_m[valid_depth(read_m)]
+        if read_m.size:
+            surface_m = float(np.median(read_m))
+            radius_m = max(radius_px * surface_m / focal_px, 1e-3)
+            add_depth(planes, depth_m, places_px, surface_m, radius_m)
     return FruitCrop(planes, middle_px, along, step_px)
 
 
-def _surface_m(depth_m: NDArray[np.float32], mask: NDArray[np.bool_]) -> float | None:
-    """Return the median depth on a mask, None without a reading."""
-    on_fruit_m = depth_m[mask]
-    on_fruit_m = on_fruit_m[valid_depth(on_fruit_m)]
-    return float(np.median(on_fruit_m)) if on_fruit_m.size else None
-
-
-def _frame_of(
-    mask: NDArray[np.bool_], window: tuple[slice, slice]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], float, float]:
+def _frame_of(mask: Mask, window: tuple[slice, slice]) -> tuple[Array, Array, float, float]:
     """Return the middle of a mask, its longer axis, the crop's step and the mask's radius."""
     rows, columns = window  # of the mask and a pixel around it
     pixels = mask_pixels(mask[window]) + np.array([columns.start, rows.start])
@@ -194,7 +181,7 @@ class EndLook:
     ----------
     true, covered, running_on : float
         Probabilities, with the sum 1: the fruit ends there; more than 5 % of its length is missing
-        (covered, or outside the picture); the measured axis extends beyond the fruit by as much,
+        (covered, or outside the image); the measured axis extends beyond the fruit by as much,
         into a stem, a flower or a leaf.
     missing : tuple of float, length 5
         Quantiles (`QUANTILES`) of the missing length, relative to the fruit's length; negative if
@@ -212,7 +199,7 @@ class EndLook:
 
 @dataclass(frozen=True, eq=False)
 class EndCrop:
-    """The picture around one end of a fruit.
+    """The image around one end of a fruit.
 
     Parameters
     ----------
@@ -222,24 +209,24 @@ class EndCrop:
         Length over radius, and radius in pixels, both as logarithms.
     """
 
-    planes: NDArray[np.uint8]
+    planes: Pixels
     shape: tuple[float, float]
 
 
 def end_crop(
-    color_rgb: NDArray[np.uint8],
-    depth_m: NDArray[np.float32],
-    mask: NDArray[np.bool_],
+    color_rgb: Pixels,
+    depth_m: Array32,
+    mask: Mask,
     intrinsics: Intrinsics,
-    axis_m: NDArray[np.float64],
+    axis_m: Array,
     diameter_m: float,
 ) -> EndCrop:
-    """Cut out the picture around the first point of a fruit's axis.
+    """Cut out the image around the first point of a fruit's axis.
 
     Parameters
     ----------
     color_rgb : ndarray of uint8, shape (H, W, 3)
-        The picture.
+        The image.
     depth_m : ndarray of float32, shape (H, W)
         Metres, aligned to colour; 0 for no reading.
     mask : ndarray of bool, shape (H, W)
@@ -277,12 +264,13 @@ def end_crop(
     step_px = _RADII * radius_px / END_PX
     places_px = crop_places(tip_px, ahead, step_px, (END_PX, END_PX))
     surface_m = float(inner[2]) - radius_m
-    planes = crop_planes(color_rgb, depth_m, mask, places_px, step_px, surface_m, radius_m)
+    planes = crop_planes(color_rgb, mask, places_px, step_px)
+    add_depth(planes, depth_m, places_px, surface_m, radius_m)
     length_m = max(float(run[-1]), 1e-3)
     return EndCrop(planes, (float(np.log(length_m / radius_m)), float(np.log(radius_px))))
 
 
-def _direction(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
+def _direction(first: Array, second: Array) -> Array:
     """Return a unit vector along the first of two vectors that is not zero."""
     for vector in (first, second):
         norm = float(np.linalg.norm(vector))
@@ -297,13 +285,8 @@ PLANES = 6
 _DEPTH_RADII = 4.0  # depth relative to the surface is clipped to this range
 
 
-def crop_places(
-    middle_px: NDArray[np.float64],
-    along: NDArray[np.float64],
-    step_px: float,
-    size_px: tuple[int, int],
-) -> NDArray[np.float64]:
-    """Return where a turned crop's pixels lie in the picture.
+def crop_places(middle_px: Array, along: Array, step_px: float, size_px: tuple[int, int]) -> Array:
+    """Return where a turned crop's pixels lie in the image.
 
     Parameters
     ----------
@@ -312,7 +295,7 @@ def crop_places(
     along : ndarray of float64, shape (2,)
         Unit vector of its rows.
     step_px : float
-        Picture pixels of a crop pixel.
+        Image pixels of a crop pixel.
     size_px : tuple of int
         Its height and width.
 
@@ -334,31 +317,19 @@ def crop_places(
     return np.moveaxis(middle_px + columns * along + rows[:, None] * aside, 0, -1)
 
 
-def crop_planes(
-    color_rgb: NDArray[np.uint8],
-    depth_m: NDArray[np.float32] | None,
-    mask: NDArray[np.bool_],
-    places_px: NDArray[np.float64],
-    step_px: float,
-    surface_m: float = 0.0,
-    radius_m: float = 1.0,
-) -> NDArray[np.uint8]:
-    """Sample a picture with depth and a mask.
+def crop_planes(color_rgb: Pixels, mask: Mask, places_px: Array, step_px: float) -> Pixels:
+    """Sample an image with a mask; the planes of depth stay empty.
 
     Parameters
     ----------
     color_rgb : ndarray of uint8, shape (H, W, 3)
-        The picture.
-    depth_m : ndarray of float32, shape (H, W), optional
-        Metres, aligned to colour; 0 for no reading.
+        The image.
     mask : ndarray of bool, shape (H, W)
         The fruit's pixels.
     places_px : ndarray of float64, shape (h, w, 2)
-        As `crop_places` returns them; nothing is read outside the picture.
+        As `crop_places` returns them; nothing is read outside the image.
     step_px : float
         Their spacing.
-    surface_m, radius_m : float
-        Distance of the fruit's surface, and its radius: the origin and the unit of its depth.
 
     Returns
     -------
@@ -367,37 +338,56 @@ def crop_planes(
     """
     planes = np.zeros((*places_px.shape[:2], PLANES), np.uint8)
     planes[..., :3] = sample_color(color_rgb, places_px, step_px)
-    columns, rows = np.moveaxis(np.rint(places_px).astype(np.intp), -1, 0)
-    height, width = mask.shape
-    inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
-    pixels = np.clip(rows, 0, height - 1), np.clip(columns, 0, width - 1)
     planes[..., 3] = 128
-    planes[..., 5] = np.where(inside & mask[pixels], 255, 0)
-    if depth_m is not None:
-        z = np.where(inside, depth_m[pixels], np.float32(0))
-        read = valid_depth(z)
-        off = np.clip((z - surface_m) / radius_m, -_DEPTH_RADII, _DEPTH_RADII)
-        planes[..., 3] = np.where(read, np.rint(127.5 + 127.5 * off / _DEPTH_RADII), 128)
-        planes[..., 4] = np.where(read, 255, 0)
+    pixels, is_inside = _pixels_at(places_px, mask.shape)
+    planes[..., 5] = np.where(is_inside & mask[pixels], 255, 0)
     return planes
+
+
+def add_depth(
+    planes: Pixels, depth_m: Array32, places_px: Array, surface_m: float, radius_m: float
+) -> None:
+    """Fill in the planes of depth.
+
+    Parameters
+    ----------
+    planes : ndarray of uint8, shape (h, w, 6)
+        Of `crop_planes`; changed in place.
+    depth_m : ndarray of float32, shape (H, W)
+        Metres, aligned to colour; 0 for no reading.
+    places_px : ndarray of float64, shape (h, w, 2)
+        Where the pixels lie in the image.
+    surface_m, radius_m : float
+        Distance of the fruit's surface, and its radius: the origin and the unit of its depth.
+    """
+    pixels, is_inside = _pixels_at(places_px, depth_m.shape)
+    z = np.where(is_inside, depth_m[pixels], np.float32(0))
+    off = np.clip((z - surface_m) / radius_m, -_DEPTH_RADII, _DEPTH_RADII)
+    planes[..., 3] = np.where(valid_depth(z), np.rint(127.5 + 127.5 * off / _DEPTH_RADII), 128)
+    planes[..., 4] = np.where(valid_depth(z), 255, 0)
+
+
+def _pixels_at(places_px: Array, shape: tuple[int, ...]) -> tuple[tuple[Ints, Ints], Mask]:
+    """Return the nearest rows and columns of an image, and which of them lie in it."""
+    columns, rows = np.moveaxis(np.rint(places_px).astype(np.intp), -1, 0)
+    pixels = np.clip(rows, 0, shape[0] - 1), np.clip(columns, 0, shape[1] - 1)
+    return pixels, (pixels[0] == rows) & (pixels[1] == columns)
 
 
 _PADDING_GREY = 114  # outside a picture, as the padding of network inputs
 
 
-def sample_color(
-    color_rgb: NDArray[np.uint8], points_px: NDArray[np.float64], step_px: float
-) -> NDArray[np.uint8]:
+def sample_color(color_rgb: Pixels, points_px: Array, step_px: float) -> Pixels:
     """Return the colours at some points, averaged over their spacing where that is wide.
 
     Parameters
     ----------
     color_rgb : ndarray of uint8, shape (H, W, 3)
-        The picture.
+        The image.
     points_px : ndarray of float64, shape (h, w, 2)
-        u, v of each pixel of the result; grey outside the picture.
+        u, v of each pixel of the result; grey outside the image.
     step_px : float
-        Spacing of the points: above one pixel, the picture is shrunk to it first.
+        Spacing of the points: above one pixel, the image is shrunk to it first.
 
     Returns
     -------

@@ -22,13 +22,14 @@ from cucumbervision.fruit.masks import (
     box_of_mask,
     disjoint_masks,
     mask_window,
+    overlap,
 )
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from typing import Any, Self
 
-    from numpy.typing import NDArray
+    from cucumbervision.arrays import Array, Array32, Mask, Numbers
 
 KEYPOINT_NAMES = ("blossom_end", "quarter", "middle", "three_quarters", "stem_end")
 """The five landmarks along a fruit, in the order in which they are stored."""
@@ -95,13 +96,13 @@ class Instance:
         network.
     """
 
-    box: NDArray[np.float64]
+    box: Array
     confidence: float = 1.0
     class_name: str = "cucumber"
-    mask: NDArray[np.bool_] | None = field(default=None, repr=False)
+    mask: Mask | None = field(default=None, repr=False)
     mask_source: MaskSource | None = None
-    detector_mask: NDArray[np.bool_] | None = field(default=None, repr=False)
-    keypoints: NDArray[np.float64] | None = field(default=None, repr=False)
+    detector_mask: Mask | None = field(default=None, repr=False)
+    keypoints: Array | None = field(default=None, repr=False)
     mask_failure: str = ""
     end_confidence: float | None = None
     input_size_px: int | None = None
@@ -132,7 +133,7 @@ class Instance:
         size = np.array(shape[::-1])
         turn = np.linalg.matrix_power(np.array([[0, 1], [-1, 0]]), quarters % 4)
 
-        def placed(points: NDArray[np.float64]) -> NDArray[np.float64]:
+        def placed(points: Array) -> Array:
             return np.asarray((points - (size - 1) / 2) @ turn.T + (abs(turn) @ size - 1) / 2)
 
         corners, points = placed(self.box.reshape(2, 2)), self.keypoints
@@ -148,7 +149,7 @@ class Instance:
         )
 
     @classmethod
-    def of_mask(cls, mask: NDArray[Any], source: MaskSource = MaskSource.DATASET) -> Self:
+    def of_mask(cls, mask: Numbers, source: MaskSource = MaskSource.DATASET) -> Self:
         """Create an instance from a mask alone.
 
         Parameters
@@ -295,7 +296,7 @@ def merge_instances(instances: Sequence[Instance]) -> tuple[Instance, ...]:
 
 
 def with_disjoint_masks(
-    instances: Sequence[Instance], depth_m: NDArray[np.float32] | None = None
+    instances: Sequence[Instance], depth_m: Array32 | None = None
 ) -> tuple[Instance, ...]:
     """Assign each pixel that several masks share to one fruit, as `disjoint_masks` does.
 
@@ -352,6 +353,8 @@ def with_keypoints(
     >>> with_keypoints([fruit], [pose])[0].keypoints.shape
     (5, 3)
     """
+    from scipy.optimize import linear_sum_assignment
+
     poses = [pose for pose in poses if pose.keypoints is not None]
     boxes, pose_boxes = (
         np.array([instance.box for instance in members]).reshape(-1, 4)
@@ -362,22 +365,11 @@ def with_keypoints(
     worth = overlaps + [pose.confidence > sure for pose in poses]
     worth[overlaps < _SAME_IOU] = 0.0
     out = list(instances)
-    for i, j in _best_pairs(worth):
-        pose = poses[j]
-        out[i] = replace(out[i], keypoints=pose.keypoints, end_confidence=pose.end_confidence)
+    for i, j in zip(*linear_sum_assignment(worth, maximize=True), strict=True):
+        if worth[i, j] > 0:
+            ends = poses[j].end_confidence
+            out[i] = replace(out[i], keypoints=poses[j].keypoints, end_confidence=ends)
     return tuple(out)
-
-
-def _best_pairs(worth: NDArray[np.float64]) -> list[tuple[int, int]]:
-    """Return the pairs of a row and a column, each once, whose sum of worth is largest."""
-    pairs = list(zip(*(indices.tolist() for indices in np.nonzero(worth > 0)), strict=True))
-    if all(len(set(members)) == len(pairs) for members in zip(*pairs, strict=True)):
-        return pairs  # nothing to choose from; SciPy's import takes a tenth of the start
-    from scipy.optimize import linear_sum_assignment
-
-    rows, columns = linear_sum_assignment(worth, maximize=True)
-    chosen = zip(rows.tolist(), columns.tolist(), strict=True)
-    return [(i, j) for i, j in chosen if worth[i, j] > 0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -385,7 +377,7 @@ class _Region:
     """An instance with its mask, the mask's window, and the pixels in it."""
 
     instance: Instance
-    mask: NDArray[np.bool_] | None
+    mask: Mask | None
     window: tuple[slice, slice] | None
     area: float
 
@@ -398,7 +390,7 @@ class _Region:
         return cls(instance, mask, window, float(np.count_nonzero(mask[window])))
 
 
-def visible_mask(instance: Instance) -> NDArray[np.bool_] | None:
+def visible_mask(instance: Instance) -> Mask | None:
     """Return the detector's own mask, or the measured mask without one."""
     return instance.mask if instance.detector_mask is None else instance.detector_mask
 
@@ -411,11 +403,8 @@ def _shared(a: _Region, b: _Region) -> float:
     """Return the number of shared pixels of two masks, or the overlap of boxes without masks."""
     if a.mask is None or b.mask is None or a.window is None or b.window is None:
         return box_iou(a.instance.box, b.instance.box)
-    rows, columns = (
-        slice(max(a_span.start, b_span.start), min(a_span.stop, b_span.stop))
-        for a_span, b_span in zip(a.window, b.window, strict=True)
-    )
-    return float(np.count_nonzero(a.mask[rows, columns] & b.mask[rows, columns]))
+    both = overlap(a.window, b.window)
+    return float(np.count_nonzero(a.mask[both] & b.mask[both]))
 
 
 def _same(a: _Region, b: _Region) -> bool:
@@ -447,16 +436,7 @@ def _merged_instance(group: Sequence[_Region]) -> Instance:
     best = members[0].instance.confidence
     trusted = [region for region in members if region.instance.confidence >= TRUSTED_SHARE * best]
     instance = max(trusted, key=lambda region: region.area).instance
-    posed = [
-        member
-        for member in (instance, *(m.instance for m in members))
-        if member.keypoints is not None
-    ]
-    if not posed:
-        return replace(instance, confidence=best)
-    return replace(
-        instance,
-        confidence=best,
-        keypoints=posed[0].keypoints,
-        end_confidence=posed[0].end_confidence,
-    )
+    candidates = (instance, *(member.instance for member in members))
+    posed = next((x for x in candidates if x.keypoints is not None), instance)
+    points, ends = posed.keypoints, posed.end_confidence
+    return replace(instance, confidence=best, keypoints=points, end_confidence=ends)

@@ -16,7 +16,7 @@ from cucumbervision.fruit.masks import as_mask
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
+    from cucumbervision.arrays import Array, Mask, Pixels
 
 _KEYPOINTS = 5
 
@@ -124,7 +124,7 @@ def from_ultralytics(result: Any) -> tuple[Instance, ...]:
     )
 
 
-def to_ultralytics(instances: Sequence[Instance], color_rgb: NDArray[np.uint8]) -> Any:
+def to_ultralytics(instances: Sequence[Instance], color_rgb: Pixels) -> Any:
     """Return instances as an `ultralytics.engine.results.Results`.
 
     Parameters
@@ -161,7 +161,7 @@ def to_ultralytics(instances: Sequence[Instance], color_rgb: NDArray[np.uint8]) 
 
 
 def _instance(
-    box: Any, mask: Any, confidence: Any, name: Any, keypoints: NDArray[np.float64] | None = None
+    box: Any, mask: Any, confidence: Any, name: Any, keypoints: Array | None = None
 ) -> Instance:
     return Instance(
         np.asarray(box, np.float64) - 0.5,
@@ -173,14 +173,14 @@ def _instance(
     )
 
 
-def _boxes_of(instances: Sequence[Instance]) -> NDArray[np.float64]:
+def _boxes_of(instances: Sequence[Instance]) -> Array:
     return np.array([instance.box for instance in instances], np.float64).reshape(-1, 4) + 0.5
 
 
-def _masks_of(instances: Sequence[Instance]) -> NDArray[np.bool_] | None:
+def _masks_of(instances: Sequence[Instance]) -> Mask | None:
     masks = [instance.mask for instance in instances if instance.mask is not None]
     return np.stack(masks) if masks and len(masks) == len(instances) else None
 
 
-def _array(tensor: Any) -> NDArray[np.float64]:
+def _array(tensor: Any) -> Array:
     return np.asarray(tensor.cpu() if hasattr(tensor, "cpu") else tensor, np.float64)

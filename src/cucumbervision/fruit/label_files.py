@@ -27,9 +27,7 @@ from cucumbervision.fruit.masks import box_iou, box_of_mask
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
-    from numpy.typing import NDArray
-
-    Array = NDArray[np.float64]
+    from cucumbervision.arrays import Array
 
 _T = TypeVar("_T")
 _log = logging.getLogger(__name__)
@@ -414,9 +412,8 @@ def parse_coco(data: Any, path: Path) -> LabelFile:
         If it is neither of the two.
     """
     is_annotated = isinstance(data, dict)
-    items, images = (
-        (data.get("annotations"), data.get("images", [])) if is_annotated else (data, [])
-    )
+    items = data.get("annotations") if is_annotated else data
+    images = data.get("images", []) if is_annotated else []
     if not isinstance(items, list) or not isinstance(images, list):
         raise InstancesError("has no annotations", source=path, remedy="give COCO JSON")
     with wrap_reader_errors(path, InstancesError, "give COCO JSON"):

@@ -11,10 +11,10 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
+    from cucumbervision.arrays import Array, Mask
 
 
-def decode_rle(counts: str | bytes | Sequence[int], height: int, width: int) -> NDArray[np.bool_]:
+def decode_rle(counts: str | bytes | Sequence[int], height: int, width: int) -> Mask:
     """Decode COCO run lengths, compressed (a string) or not (numbers).
 
     Runs go down the columns and begin with background. The string holds six bits a character,
@@ -55,7 +55,7 @@ def decode_rle(counts: str | bytes | Sequence[int], height: int, width: int) -> 
     return np.repeat(values, np.array(runs, np.int64)).reshape(width, height).T.copy()
 
 
-def encode_rle(mask: NDArray[np.bool_]) -> str:
+def encode_rle(mask: Mask) -> str:
     """Write a mask as COCO's compressed run lengths, the inverse of `decode_rle`.
 
     Parameters
@@ -80,7 +80,7 @@ def encode_rle(mask: NDArray[np.bool_]) -> str:
     return "".join(_pack(n - runs[k - 2] if k > 2 else n) for k, n in enumerate(runs))
 
 
-def fill_polygon(points: NDArray[np.float64], height: int, width: int) -> NDArray[np.bool_]:
+def fill_polygon(points: Array, height: int, width: int) -> Mask:
     """Set the pixels whose centres lie inside a polygon (even-odd rule).
 
     Parameters
@@ -124,7 +124,7 @@ def fill_polygon(points: NDArray[np.float64], height: int, width: int) -> NDArra
     return mask
 
 
-def polygon_points(values: Any) -> NDArray[np.float64]:
+def polygon_points(values: Any) -> Array:
     """Return the points, shape (K, 2), of a polygon written x1, y1, x2, y2, ...
 
     Raises
@@ -140,7 +140,7 @@ def polygon_points(values: Any) -> NDArray[np.float64]:
     return numbers.reshape(-1, 2)
 
 
-def mask_of_segmentation(shape: Any, height: int, width: int) -> NDArray[np.bool_]:
+def mask_of_segmentation(shape: Any, height: int, width: int) -> Mask:
     """Decode COCO's 'segmentation'.
 
     Parameters
@@ -238,11 +238,11 @@ class Rle:
     counts: str
 
     @classmethod
-    def of(cls, mask: NDArray[np.bool_]) -> Rle:
+    def of(cls, mask: Mask) -> Rle:
         """Return the code of a mask of shape (H, W)."""
         return cls(mask.shape[0], mask.shape[1], encode_rle(mask))
 
-    def decode(self) -> NDArray[np.bool_]:
+    def decode(self) -> Mask:
         """Return the mask, bool, shape (height, width).
 
         Raises

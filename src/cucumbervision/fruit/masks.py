@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,10 +11,10 @@ from cucumbervision.errors import InstancesError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
+    from cucumbervision.arrays import Array, Array32, Ints, Mask, Numbers, Pixels
 
 
-def as_mask(values: NDArray[Any]) -> NDArray[np.bool_]:
+def as_mask(values: Numbers) -> Mask:
     """Return a binary mask (bool, 0/1 or 0/255) as bool.
 
     Parameters
@@ -52,7 +52,7 @@ def as_mask(values: NDArray[Any]) -> NDArray[np.bool_]:
     return np.asarray(filled)
 
 
-def mask_window(mask: NDArray[np.bool_], margin_px: int = 0) -> tuple[slice, slice] | None:
+def mask_window(mask: Mask, margin_px: int = 0) -> tuple[slice, slice] | None:
     """Return the slices of the rows and columns that hold a mask's pixels; None if it is empty.
 
     Parameters
@@ -75,18 +75,26 @@ def mask_window(mask: NDArray[np.bool_], margin_px: int = 0) -> tuple[slice, sli
         return None
     # Only the mask's rows: the picture's would take several times as long.
     columns = np.flatnonzero(mask[rows[0] : rows[-1] + 1].any(axis=0))
-    y1, y2, x1, x2 = (
-        int(edge)
-        for filled_lines in (rows, columns)
-        for edge in (filled_lines[0], filled_lines[-1] + 1)
+    y, x = (
+        slice(max(int(filled[0]) - margin_px, 0), min(int(filled[-1]) + 1 + margin_px, size))
+        for filled, size in zip((rows, columns), mask.shape, strict=True)
     )
-    return (
-        slice(max(y1 - margin_px, 0), min(y2 + margin_px, mask.shape[0])),
-        slice(max(x1 - margin_px, 0), min(x2 + margin_px, mask.shape[1])),
-    )
+    return y, x
 
 
-def mask_pixels(mask: NDArray[np.bool_]) -> NDArray[np.float64]:
+def overlap(a: tuple[slice, ...], b: tuple[slice, ...]) -> tuple[slice, ...]:
+    """Return the part that two windows of `mask_window` share.
+
+    Examples
+    --------
+    >>> overlap((slice(1, 4), slice(0, 9)), (slice(2, 6), slice(3, 5)))
+    (slice(2, 4, None), slice(3, 5, None))
+    """
+    pairs = zip(a, b, strict=True)
+    return tuple(slice(max(x.start, y.start), min(x.stop, y.stop)) for x, y in pairs)
+
+
+def mask_pixels(mask: Mask) -> Array:
     """Return the coordinates of a mask's pixels, row by row.
 
     Parameters
@@ -116,7 +124,7 @@ def mask_pixels(mask: NDArray[np.bool_]) -> NDArray[np.float64]:
 _SPECK = 0.02
 
 
-def without_specks(part: NDArray[np.bool_], share: float = _SPECK) -> NDArray[np.bool_]:
+def without_specks(part: Mask, share: float = _SPECK) -> Mask:
     """Return a mask without pieces that are smaller than a share of it; the largest stays.
 
     Examples
@@ -140,9 +148,7 @@ def without_specks(part: NDArray[np.bool_], share: float = _SPECK) -> NDArray[np
     return np.asarray(is_piece[np.asarray(labels)])
 
 
-def distances_inside(
-    mask: NDArray[Any], pixels: NDArray[np.intp] | None = None
-) -> NDArray[np.float32]:
+def distances_inside(mask: Numbers, pixels: Ints | None = None) -> Array32:
     """Compute each set pixel's distance to the nearest unset pixel, in pixels.
 
     Parameters
@@ -176,7 +182,7 @@ def distances_inside(
     return np.sqrt(np.rint(np.square(inside)))
 
 
-def without_spurs(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def without_spurs(mask: Mask) -> Mask:
     """Return a mask without what is much thinner than the fruit, such as a stem beside it.
 
     A morphological opening by a fifth of the largest radius; what lies within two pixels of the
@@ -210,7 +216,7 @@ def without_spurs(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return np.asarray(mask & kept[1:-1, 1:-1])
 
 
-def _opened(mask: NDArray[np.uint8], radius_px: float) -> NDArray[np.uint8]:
+def _opened(mask: Pixels, radius_px: float) -> Pixels:
     """Return a mask without what is thinner than a disc of this radius, of at least one pixel."""
     import cv2
 
@@ -218,7 +224,7 @@ def _opened(mask: NDArray[np.uint8], radius_px: float) -> NDArray[np.uint8]:
     return np.asarray(cv2.morphologyEx(mask, cv2.MORPH_OPEN, disc), np.uint8)
 
 
-def _disc(radius_px: int) -> NDArray[np.uint8]:
+def _disc(radius_px: int) -> Pixels:
     import cv2
 
     side_px = 2 * radius_px + 1
@@ -226,7 +232,7 @@ def _disc(radius_px: int) -> NDArray[np.uint8]:
     return np.asarray(disc, np.uint8)
 
 
-def box_of_mask(mask: NDArray[np.bool_]) -> NDArray[np.float64]:
+def box_of_mask(mask: Mask) -> Array:
     """Return the bounding box x1, y1, x2, y2 of a mask, in pixels.
 
     Parameters
@@ -253,13 +259,13 @@ def box_of_mask(mask: NDArray[np.bool_]) -> NDArray[np.float64]:
     return np.array([columns.start, rows.start, columns.stop, rows.stop]) - 0.5
 
 
-def mask_ious(masks: NDArray[np.bool_], mask: NDArray[np.bool_]) -> NDArray[np.float64]:
+def mask_ious(masks: Mask, mask: Mask) -> Array:
     """Compute the intersection over union of several masks, shape (N, H, W), with one."""
     shared = np.count_nonzero(masks & mask, axis=(1, 2))
     return np.asarray(shared / np.maximum(np.count_nonzero(masks | mask, axis=(1, 2)), 1))
 
 
-def mask_iou(a: NDArray[np.bool_] | None, b: NDArray[np.bool_]) -> float:
+def mask_iou(a: Mask | None, b: Mask) -> float:
     """Compute the intersection over union of two masks; 0 if the first is None.
 
     Examples
@@ -277,10 +283,8 @@ _NEARER = 0.01  # of the distance: least depth difference that shows which fruit
 
 
 def disjoint_masks(
-    masks: Sequence[NDArray[np.bool_] | None],
-    scores: Sequence[float],
-    depth_m: NDArray[np.float32] | None = None,
-) -> list[NDArray[np.bool_] | None]:
+    masks: Sequence[Mask | None], scores: Sequence[float], depth_m: Array32 | None = None
+) -> list[Mask | None]:
     """Assign the pixels that two masks share to one of them.
 
     The smaller mask gets them if at least half of it lies in the larger one; otherwise the mask
@@ -316,11 +320,8 @@ def disjoint_masks(
             given_a, given_b = masks[i], masks[j]
             if a is None or b is None or of_a is None or of_b is None:
                 continue
-            rows, columns = (
-                slice(max(a_span.start, b_span.start), min(a_span.stop, b_span.stop))
-                for a_span, b_span in zip(of_a, of_b, strict=True)
-            )
-            if not (a[rows, columns] & b[rows, columns]).any():
+            both = overlap(of_a, of_b)
+            if not (a[both] & b[both]).any():
                 continue
             # Compare the masks as given: earlier assignments may have changed both.
             if given_a is None or given_b is None or mask_iou(given_a, given_b) >= _ONE_IOU:
@@ -330,11 +331,7 @@ def disjoint_masks(
     return parted
 
 
-def _loser(
-    pair: tuple[NDArray[np.bool_], NDArray[np.bool_]],
-    scores: tuple[float, float],
-    depth_m: NDArray[np.float32] | None,
-) -> int:
+def _loser(pair: tuple[Mask, Mask], scores: tuple[float, float], depth_m: Array32 | None) -> int:
     """Return the index of the mask that loses the shared pixels."""
     a, b = pair
     shared = a & b
@@ -350,11 +347,7 @@ def _loser(
     return int(scores[1] <= scores[0])
 
 
-def _distances(
-    shared: NDArray[np.bool_],
-    pair: tuple[NDArray[np.bool_], NDArray[np.bool_]],
-    depth_m: NDArray[np.float32] | None,
-) -> list[float]:
+def _distances(shared: Mask, pair: tuple[Mask, Mask], depth_m: Array32 | None) -> list[float]:
     """Return the median depths, metres, of the shared pixels and of each mask's own near them.
 
     0 without a reading. Only pixels nearby count, since a tilted fruit's ends differ in depth.
@@ -381,9 +374,7 @@ _FLOWER_REDNESS = 18.0
 _FLOWER_SHARE = 0.002, 0.15  # of the mask's area: a smaller part is noise, a larger one no flower
 
 
-def without_flower(
-    mask: NDArray[np.bool_], color_rgb: NDArray[np.uint8], outline: NDArray[np.bool_] | None = None
-) -> NDArray[np.bool_]:
+def without_flower(mask: Mask, color_rgb: Pixels, outline: Mask | None = None) -> Mask:
     """Return a fruit's mask without the withered flower at its end.
 
     A flower is a coherent part that is much redder than the fruit's median colour, as pale tips of
@@ -447,7 +438,7 @@ def without_flower(
 _BOX_SIDE_PX, _BOX_FILL, _BOX_CORNER = 12, 0.95, 0.08
 
 
-def is_box_mask(mask: NDArray[np.bool_]) -> bool:
+def is_box_mask(mask: Mask) -> bool:
     """Return whether a mask is a filled box, upright or rotated, instead of an outline.
 
     A fruit leaves the corners of its bounding rectangle empty, unless the edge of the picture cuts
@@ -486,12 +477,12 @@ def is_box_mask(mask: NDArray[np.bool_]) -> bool:
     return bool(mask[v, u].all())
 
 
-def box_areas(boxes: NDArray[Any]) -> NDArray[np.float64]:
+def box_areas(boxes: Numbers) -> Array:
     """Compute the areas of boxes, shape (N, 4); 0 where one has no extent."""
     return np.asarray(np.clip(boxes[:, 2:] - boxes[:, :2], 0, None).prod(axis=1), np.float64)
 
 
-def _box_intersections(a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.float64]:
+def _box_intersections(a: Numbers, b: Numbers) -> Array:
     """Compute the intersection area of every pair of boxes.
 
     Parameters
@@ -508,7 +499,7 @@ def _box_intersections(a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.float64]:
     return np.asarray(np.clip(upper - lower, 0, None).prod(axis=2), np.float64)
 
 
-def box_ious(a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.float64]:
+def box_ious(a: Numbers, b: Numbers) -> Array:
     """Compute the intersection over union of every pair; 0 where neither has an area.
 
     Parameters
@@ -530,7 +521,7 @@ def box_ious(a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.float64]:
     return np.divide(shared, union, out=np.zeros_like(shared), where=union > 0)
 
 
-def box_iou(a: NDArray[Any], b: NDArray[Any]) -> float:
+def box_iou(a: Numbers, b: Numbers) -> float:
     """Compute the intersection over union of two boxes.
 
     Examples
@@ -541,7 +532,7 @@ def box_iou(a: NDArray[Any], b: NDArray[Any]) -> float:
     return float(box_ious(np.asarray(a)[None], np.asarray(b)[None])[0, 0])
 
 
-def share_inside(boxes: NDArray[Any], regions: NDArray[Any]) -> NDArray[np.float64]:
+def share_inside(boxes: Numbers, regions: Numbers) -> Array:
     """Compute the largest share of each box's area that lies within one of the regions.
 
     Parameters
@@ -562,9 +553,7 @@ def share_inside(boxes: NDArray[Any], regions: NDArray[Any]) -> NDArray[np.float
     return np.asarray(shared / np.maximum(box_areas(boxes), 1e-12))
 
 
-def suppress(
-    boxes: NDArray[Any], scores: NDArray[Any], classes: NDArray[Any], iou: float
-) -> NDArray[np.intp]:
+def suppress(boxes: Numbers, scores: Numbers, classes: Numbers, iou: float) -> Ints:
     """Return the boxes kept by non-maximum suppression within each class.
 
     Parameters

@@ -15,7 +15,7 @@ import numpy as np
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.methods.depth_doubts import LEAST_FILL
 from cucumbervision.methods.result import HiddenLength
-from cucumbervision.tube.evidence import median_of
+from cucumbervision.tube.evidence import quick_median
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -283,7 +283,7 @@ def beyond_ends(
         if len(surface) < _LEAST_READINGS or not close.any():
             ends.append(BeyondEnd())
             continue
-        at_m = median_of(surface)
+        at_m = quick_median(surface)
         noise_m = float(depth_noise(np.array(at_m), intrinsics.fx_px))
         off_m = z - at_m
         clear_m = _IN_FRONT_M + _IN_FRONT_SD * noise_m

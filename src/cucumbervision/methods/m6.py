@@ -35,8 +35,8 @@ from cucumbervision.tube.evidence import (
     depth_across,
     end_overhangs,
     gaps,
-    median_of,
     outline_cracks,
+    quick_median,
 )
 from cucumbervision.tube.fit import (
     TubeFitting,
@@ -368,8 +368,8 @@ def _fit(
     explained, hidden, overlap = _coverage(view, fitting.shape)
     rays = fitting.rays
     distances_m = np.linalg.norm(rays.centres_m, axis=1)
-    outline_px = 1.4826 * median_of(np.abs(rays.gap_m) / distances_m) * view.focal_px
-    depth_m = 1.4826 * median_of(np.abs(fitting.points.gap_m))
+    outline_px = 1.4826 * quick_median(np.abs(rays.gap_m) / distances_m) * view.focal_px
+    depth_m = 1.4826 * quick_median(np.abs(fitting.points.gap_m))
     first, last = (s and not b.covered for s, b in zip(fitting.ends_seen, ends, strict=True))
     flags = []
     if not (first and last):
@@ -378,7 +378,7 @@ def _fit(
         flags.append(Flag.END_ON)
     if hidden > PART_HIDDEN:
         flags.append(Flag.PART_HIDDEN)
-    rough = outline_px * median_of(distances_m) / view.focal_px / traits.diameter_max_m
+    rough = outline_px * quick_median(distances_m) / view.focal_px / traits.diameter_max_m
     on_it = _on_surface(view, fitting)
     fits_mask = explained >= _GOOD_EXPLAINED and overlap >= _LEAST_OVERLAP
     if not fits_mask or rough > _GOOD_OUTLINE or on_it < _GOOD_ON_SURFACE:

@@ -151,7 +151,7 @@ _STATUS = (
 def request_limits(most_mb: int = 200) -> Limits:
     """Return the limits of one request; zips may be four times as large when unpacked."""
     total = most_mb * 1_000_000
-    return Limits(files=200, file_bytes=total, total_bytes=total, unpacked_bytes=4 * total)
+    return Limits(files=200, total_bytes=total, unpacked_bytes=4 * total)
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import ctypes
 import hashlib
 import os
+import struct
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,8 +20,7 @@ import numpy as np
 from cucumbervision.tube.shape import BALLS, BEND_SEGMENTS, FINE, WIDTH_SEGMENTS, bases
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from cucumbervision.arrays import Array, Numbers
     from cucumbervision.tube.evidence import Evidence
     from cucumbervision.tube.shape import TubeShape
 
@@ -65,76 +65,41 @@ def library() -> Any:
     return loaded
 
 
-class _Struct(ctypes.Structure):
-    """A struct of kernel.h. It keeps the arrays whose addresses it holds."""
+class _Struct:
+    """A struct of kernel.h: counts, floats and addresses of arrays, of 8 bytes each."""
 
     def __init__(self, *values: Any) -> None:
         self.arrays = [value for value in values if isinstance(value, np.ndarray)]
-        super().__init__(*(v.ctypes.data if isinstance(v, np.ndarray) else v for v in values))
+        kinds = "".join("d" if isinstance(value, float) else "q" for value in values)
+        words = (v.ctypes.data if isinstance(v, np.ndarray) else v for v in values)
+        self.argument = ctypes.c_char_p(struct.pack(kinds, *words))
 
 
-def _fields(kind: Any, names: str) -> list[tuple[str, Any]]:
-    return [(name, kind) for name in names.split()]
-
-
-class _Bases(_Struct):
-    _fields_ = _fields(ctypes.c_void_p, "bend_balls width_balls bend_fine width_fine")
-
-
-class _Shape(_Struct):
-    _fields_ = _fields(ctypes.c_void_p, "bend_m width_m")
-
-
-class _Evidence(_Struct):
-    _fields_ = [
-        *_fields(ctypes.c_int64, "points rays waves"),
-        *_fields(ctypes.c_void_p, "points_m directions points_far_m points_sd_m rays_m waves_m"),
-        *_fields(ctypes.c_double, "rays_sd_rad points_share rays_share slip_m far_m"),
-    ]
-
-
-class _Readings(_Struct):
-    _fields_ = _fields(ctypes.c_void_p, "gap_m away centres_m facing sd_m scratch index")
-
-
-class _Equations(_Struct):
-    _fields_ = [
-        *_fields(ctypes.c_int64, "size stride"),
-        *_fields(ctypes.c_void_p, "normal target rows"),
-    ]
-
-
-def _readings(count: int) -> _Readings:
+def _readings(count: int) -> _Struct:
     """Return room for gaps, unit vectors, centres, facing, errors and positions of readings."""
     gap_m, facing, sd_m, scratch = np.empty((4, count))
     away, centres_m = np.empty((2, count, 3))
-    return _Readings(gap_m, away, centres_m, facing, sd_m, scratch, np.empty(count, np.int64))
+    return _Struct(gap_m, away, centres_m, facing, sd_m, scratch, np.empty(count, np.int64))
 
 
 @cache
-def _bases() -> _Bases:
-    return _Bases(*bases(BALLS), *bases(FINE + 1))
+def _bases() -> _Struct:
+    return _Struct(*bases(BALLS), *bases(FINE + 1))
 
 
-def _finite(*arrays: NDArray[Any]) -> bool:
+def _finite(*arrays: Numbers) -> bool:
     return all(np.isfinite(array).all() for array in arrays)
 
 
-def _numbers(array: NDArray[Any], *shape: int) -> NDArray[np.float64]:
+def _numbers(array: Numbers, *shape: int) -> Array:
     # As the kernel reads it; ValueError if it has another shape.
     return np.ascontiguousarray(array, np.float64).reshape(shape)
 
 
-def _shape(shape: TubeShape) -> _Shape:
+def _shape(shape: TubeShape) -> _Struct:
     # A copy: the fit moves it.
     bend = np.array(shape.bend_m, np.float64).reshape(BEND_SEGMENTS + 3, 3)
-    return _Shape(bend, np.array(shape.width_m, np.float64).reshape(WIDTH_SEGMENTS + 3))
-
-
-def _argument(value: Any) -> Any:
-    if isinstance(value, ctypes.Structure):
-        return ctypes.byref(value)
-    return ctypes.c_void_p(value.ctypes.data)
+    return _Struct(bend, np.array(shape.width_m, np.float64).reshape(WIDTH_SEGMENTS + 3))
 
 
 class Fit:
@@ -156,7 +121,7 @@ class Fit:
         self.nuisance = np.zeros(3 + waves)
         stride = _BODY + _padded(waves) + 1
         self.normal, self.target = np.zeros((stride, stride)), np.zeros(stride)
-        self.sums = _Equations(
+        self.sums = _Struct(
             _BODY + waves, stride, self.normal, self.target, np.empty(_ROWS * stride)
         )
         self.covariance = np.empty((_BODY, _BODY))
@@ -166,21 +131,24 @@ class Fit:
     def run(self) -> bool:
         """Fit as `tube_fit.fit_shape`; False without a solution."""
         results = (self.covariance, self.ends_seen, self.misfit)
-        moved = (self.shape, self.nuisance, *self.readings, self.sums)
-        values = (self.bases, self.seen, *moved, *results)
-        return bool(library().fit_shape(*map(_argument, values)))
+        values = (self.bases, self.seen, self.shape, self.nuisance, *self.readings, self.sums)
+        arguments = (
+            x.argument if isinstance(x, _Struct) else ctypes.c_void_p(x.ctypes.data)
+            for x in (*values, *results)
+        )
+        return bool(library().fit_shape(*arguments))
 
 
 def _padded(waves: int) -> int:
     return _TILE * (-(-waves // _TILE))
 
 
-def _evidence(evidence: Evidence) -> _Evidence:
+def _evidence(evidence: Evidence) -> _Struct:
     count, rays, waves = len(evidence.points_m), len(evidence.rays), evidence.waves
     waves_m = np.zeros((count, _padded(waves)))
     if evidence.waves_m is not None:
         waves_m[:, :waves] = _numbers(evidence.waves_m, count, waves)
-    return _Evidence(
+    return _Struct(
         count,
         rays,
         waves,

@@ -13,13 +13,15 @@ from cucumbervision.tube.shape import BALLS, BEND_SEGMENTS, FINE, WIDTH_SEGMENTS
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from cucumbervision.arrays import Array, Ints, Mask, Numbers
+
 
 _STEPS_PX = np.array([0.5, 1.5, 2.5, 3.5])  # how far across an outline its depth is read
 _GRAZING = 0.2  # the cosine below which a ray only grazes the body
 _MISSED_M = 100.0
 
 
-def quick_median(values: NDArray[np.floating[Any]]) -> np.floating[Any]:
+def quick_median(values: NDArray[np.floating[Any]]) -> float:
     """Return the median of a few numbers in a fifth of the time of `numpy.median`.
 
     Parameters
@@ -27,26 +29,18 @@ def quick_median(values: NDArray[np.floating[Any]]) -> np.floating[Any]:
     values : ndarray of float, shape (N,)
         At least one, none of them NaN.
 
-    Returns
-    -------
-    float
-        The dtype of `values`.
-
     Examples
     --------
-    >>> float(quick_median(np.array([4.0, 1.0, 3.0]))), float(quick_median(np.array([4.0, 1.0])))
+    >>> quick_median(np.array([4.0, 1.0, 3.0])), quick_median(np.array([4.0, 1.0]))
     (3.0, 2.5)
     """
     half = len(values) // 2
     if len(values) % 2:
-        middle: np.floating[Any] = np.partition(values, half)[half]
-        return middle
-    low, high = np.partition(values, (half - 1, half))[half - 1 : half + 1]
-    mean: np.floating[Any] = (low + high) / values.dtype.type(2)
-    return mean
+        return float(np.partition(values, half)[half])
+    return float(np.partition(values, (half - 1, half))[half - 1 : half + 1].mean())
 
 
-def valid_median(values: NDArray[Any], valid: NDArray[np.bool_], axis: int = 0) -> NDArray[Any]:
+def valid_median(values: Numbers, valid: Mask, axis: int = 0) -> Numbers:
     """Return the median along an axis over the valid entries only.
 
     Parameters
@@ -81,18 +75,7 @@ def valid_median(values: NDArray[Any], valid: NDArray[np.bool_], axis: int = 0) 
     return np.where(count > 0, middle, np.nan).squeeze(axis).astype(values.dtype)
 
 
-def median_of(values: NDArray[np.float64]) -> float:
-    """Return the median of some numbers as a Python float, by `quick_median`.
-
-    Examples
-    --------
-    >>> median_of(np.array([3.0, 1.0, 2.0])), median_of(np.array([4.0, 1.0, 2.0, 3.0]))
-    (2.0, 2.5)
-    """
-    return float(quick_median(values))
-
-
-def outline_cracks(mask: NDArray[np.bool_]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def outline_cracks(mask: Mask) -> tuple[Array, Array]:
     """Return the points between a pixel of the mask and a neighbour outside it.
 
     A body's true outline runs somewhere between the two pixels' centres, so their middle is
@@ -129,9 +112,7 @@ def outline_cracks(mask: NDArray[np.bool_]) -> tuple[NDArray[np.float64], NDArra
     return points, outward
 
 
-def depth_across(
-    depth_m: NDArray[Any], points_px: NDArray[Any], outward: NDArray[Any]
-) -> NDArray[np.float64]:
+def depth_across(depth_m: Numbers, points_px: Numbers, outward: Numbers) -> Array:
     """Return the median depth on one side of outline points.
 
     Parameters
@@ -180,15 +161,15 @@ class Gaps:
         Its position along the curve, 0 to 1.
     """
 
-    gap_m: NDArray[np.float64]
-    away: NDArray[np.float64]
-    bend_basis: NDArray[np.float64]
-    width_basis: NDArray[np.float64]
-    centres_m: NDArray[np.float64]
-    share: NDArray[np.float64]
+    gap_m: Array
+    away: Array
+    bend_basis: Array
+    width_basis: Array
+    centres_m: Array
+    share: Array
 
 
-def gaps(shape: TubeShape, readings: NDArray[np.float64], *, rays: bool) -> Gaps:
+def gaps(shape: TubeShape, readings: Array, *, rays: bool) -> Gaps:
     """Measure how far readings are from a shape.
 
     Parameters
@@ -242,9 +223,7 @@ def gaps(shape: TubeShape, readings: NDArray[np.float64], *, rays: bool) -> Gaps
     return Gaps(norm - width @ shape.width_m, away, bend, width, centre, index / FINE)
 
 
-def depth_gaps(
-    shape: TubeShape, rays: NDArray[np.float64], far_m: NDArray[np.float64]
-) -> tuple[Gaps, NDArray[np.float64]]:
+def depth_gaps(shape: TubeShape, rays: Array, far_m: Array) -> tuple[Gaps, Array]:
     """Measure how far depth readings are from where their rays enter a shape.
 
     Parameters
@@ -298,9 +277,7 @@ def depth_gaps(
     return Gaps(gap, away, bend, width, centre, index / FINE), facing
 
 
-def _entered(
-    rays: NDArray[np.float64], centres: NDArray[np.float64], radii: NDArray[np.float64]
-) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+def _entered(rays: Array, centres: Array, radii: Array) -> tuple[Ints, Array]:
     # The ball that each ray enters first, and how far away; _MISSED_M where it enters none.
     entry = rays @ centres.T
     inside = entry * entry
@@ -313,16 +290,14 @@ def _entered(
     return nearest, entered[np.arange(len(rays)), nearest]
 
 
-def _ball_at(
-    shape: TubeShape, ball: NDArray[np.float64]
-) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def _ball_at(shape: TubeShape, ball: Array) -> tuple[Ints, Array, Array, Array]:
     # Index among FINE positions, bases of centre and radius, and centre, at a fractional ball.
     index = np.rint(ball * (FINE / (BALLS - 1))).astype(np.intp)
     bend, width = (table.take(index, axis=0) for table in bases(FINE + 1))
     return index, bend, width, bend @ shape.bend_m
 
 
-def _lowest(values: NDArray[np.float64]) -> NDArray[np.float64]:
+def _lowest(values: Array) -> Array:
     # Position of each row's minimum, by a parabola through the lowest value and its neighbours.
     count = values.shape[1]
     k = np.minimum(np.maximum(np.argmin(values, axis=1), 1), count - 2)
@@ -332,9 +307,7 @@ def _lowest(values: NDArray[np.float64]) -> NDArray[np.float64]:
     )
 
 
-def _vertex(
-    a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _vertex(a: Array, b: Array, c: Array) -> Array:
     # Where the parabola through three neighbours is lowest, from the middle one: -1 to 1.
     curve = a - 2 * b + c
     step = np.where(curve > 1e-12, 0.5 * (a - c) / np.maximum(curve, 1e-12), np.sign(a - c))
@@ -377,14 +350,14 @@ class Evidence:
         metres along its ray, for amplitudes of standard deviation 1, which are fitted.
     """
 
-    points_m: NDArray[np.float64]
-    points_sd_m: NDArray[np.float64]
-    rays: NDArray[np.float64]
+    points_m: Array
+    points_sd_m: Array
+    rays: Array
     rays_sd_rad: float
     pixel_rad: float
     points_share: float
     rays_share: float
-    waves_m: NDArray[np.float64] | None = None
+    waves_m: Array | None = None
 
     @property
     def waves(self) -> int:
@@ -392,12 +365,12 @@ class Evidence:
         return 0 if self.waves_m is None else self.waves_m.shape[1]
 
     @cached_property
-    def directions(self) -> NDArray[np.float64]:
+    def directions(self) -> Array:
         """Unit directions to the depth points, shape (N, 3)."""
         return np.asarray(self.points_m / self.points_far_m[:, None], dtype=np.float64)
 
     @cached_property
-    def points_far_m(self) -> NDArray[np.float64]:
+    def points_far_m(self) -> Array:
         """Distances of the depth points from the camera, shape (N,), metres."""
         return np.asarray(np.linalg.norm(self.points_m, axis=1), dtype=np.float64)
 
@@ -423,24 +396,23 @@ class Readings:
     """
 
     contacts: Gaps
-    sd_m: NDArray[np.float64]
-    slope: NDArray[np.float64]
+    sd_m: Array
+    slope: Array
 
     def misfit(self, share: float) -> float:
         """Return the sum of squared gaps in their own errors, each up to `_MISFIT_SD`."""
-        return share * float(
-            (np.minimum(np.abs(self.contacts.gap_m / self.sd_m), _MISFIT_SD) ** 2).sum()
-        )
+        errors = np.minimum(np.abs(self.contacts.gap_m / self.sd_m), _MISFIT_SD)
+        return share * float((errors**2).sum())
 
     def scatter(self, limits: tuple[float, float]) -> float:
         """Return the robust scatter of the gaps relative to their errors, within limits."""
         if not len(self.sd_m):
             return 1.0
-        spread = 1.4826 * median_of(np.abs(self.contacts.gap_m / self.sd_m))
+        spread = 1.4826 * quick_median(np.abs(self.contacts.gap_m / self.sd_m))
         return min(max(spread, limits[0]), limits[1])
 
 
-def point_readings(evidence: Evidence, shape: TubeShape, nuisance: NDArray[np.float64]) -> Readings:
+def point_readings(evidence: Evidence, shape: TubeShape, nuisance: Array) -> Readings:
     """Return the depth points against a body.
 
     Depth errors are along the ray, so the gap is measured along the ray and multiplied by the
@@ -466,7 +438,7 @@ def point_readings(evidence: Evidence, shape: TubeShape, nuisance: NDArray[np.fl
     return Readings(replace(contacts, gap_m=contacts.gap_m + waves @ nuisance[SLIPS:]), sd, slope)
 
 
-def ray_readings(evidence: Evidence, shape: TubeShape, slip_m: NDArray[np.float64]) -> Readings:
+def ray_readings(evidence: Evidence, shape: TubeShape, slip_m: Array) -> Readings:
     """Return the outline's rays against a body.
 
     Parameters
@@ -490,7 +462,7 @@ def ray_readings(evidence: Evidence, shape: TubeShape, slip_m: NDArray[np.float6
     return Readings(slipped, sd, slope)
 
 
-def _slope(contacts: Gaps, waves: int) -> NDArray[np.float64]:
+def _slope(contacts: Gaps, waves: int) -> Array:
     # By the body; the rest is left to be filled in.
     slope = np.empty((len(contacts.gap_m), BODY + waves))
     for axis in range(3):
@@ -505,7 +477,7 @@ def normal_equations(
     shares: tuple[float, float],
     scatter: tuple[float, float],
     scale: float,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Array, Array]:
     """Return the robustly weighted normal equations of depth points and outline.
 
     Depth points are weighted by Tukey's biweight (Beaton and Tukey 1974), rays by Cauchy's weight
@@ -544,16 +516,16 @@ def normal_equations(
     return normal, target
 
 
-def _tukey(u: NDArray[np.float64]) -> NDArray[np.float64]:
+def _tukey(u: Array) -> Array:
     inside = np.maximum(1 - (u / _TUKEY) ** 2, 0.0)
     return inside * inside
 
 
-def _cauchy(u: NDArray[np.float64]) -> NDArray[np.float64]:
+def _cauchy(u: Array) -> Array:
     return 1 / (1 + (u / _CAUCHY) ** 2)
 
 
-def ends_seen(shape: TubeShape, contacts: Gaps, rays: NDArray[np.float64]) -> tuple[bool, bool]:
+def ends_seen(shape: TubeShape, contacts: Gaps, rays: Array) -> tuple[bool, bool]:
     """Return whether the outline surrounds a body's first and last end.
 
     There it touches the outer side of the last ball.
@@ -571,34 +543,28 @@ def ends_seen(shape: TubeShape, contacts: Gaps, rays: NDArray[np.float64]) -> tu
     return first, last
 
 
-def end_overhangs(
-    shape: TubeShape, contacts: Gaps, rays: NDArray[np.float64]
-) -> tuple[float, float]:
+def end_overhangs(shape: TubeShape, contacts: Gaps, rays: Array) -> tuple[float, float]:
     """Return how far the outline goes beyond a body's first and last end, metres.
 
     Balls do not fill a pointed end. At most the body's median radius; 0 where the outline does not
     surround the end or is not significantly beyond it. Parameters as those
     of `ends_seen`.
     """
-    limit = median_of(shape.width_m)
-    first, last = (
-        min(_overhang(overhangs), limit) for overhangs in _beyond_ends(shape, contacts, rays)
-    )
-    return first, last
+    limit = quick_median(shape.width_m)
+    first, last = map(_overhang, _beyond_ends(shape, contacts, rays))
+    return min(first, limit), min(last, limit)
 
 
-def _overhang(beyond_m: NDArray[np.float64]) -> float:
+def _overhang(beyond_m: Array) -> float:
     if len(beyond_m) <= _TIP_RAYS:
         return 0.0
-    median = median_of(beyond_m)
-    scatter = 1.4826 * median_of(np.abs(beyond_m - median))
+    median = quick_median(beyond_m)
+    scatter = 1.4826 * quick_median(np.abs(beyond_m - median))
     error = 1.2533 * scatter / np.sqrt(len(beyond_m))  # of a median of normal errors
     return median if median > _OVERHANG_ERRORS * error else 0.0
 
 
-def _beyond_ends(
-    shape: TubeShape, contacts: Gaps, rays: NDArray[np.float64]
-) -> list[NDArray[np.float64]]:
+def _beyond_ends(shape: TubeShape, contacts: Gaps, rays: Array) -> list[Array]:
     # Positions along the axis of the rays that touch the outer side of each end's ball.
     overhangs = []
     centres, _ = shape.balls()

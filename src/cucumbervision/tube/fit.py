@@ -16,9 +16,9 @@ from cucumbervision.tube.evidence import (
     Evidence,
     Gaps,
     ends_seen,
-    median_of,
     normal_equations,
     point_readings,
+    quick_median,
     ray_readings,
 )
 from cucumbervision.tube.shape import (
@@ -29,11 +29,12 @@ from cucumbervision.tube.shape import (
     arc_positions,
     bases,
     principal_axis,
+    robust_plane,
     shape_from_curve,
 )
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from cucumbervision.arrays import Array, Ints, Mask, Numbers
 
 
 # In shares of the length L and the radius r.
@@ -52,17 +53,8 @@ _ANCHOR_SD, _HIDDEN_ANCHOR_SD = 1.5, 0.15
 _SLIP_SD_PX = (1.0, 1.0, 0.1)
 
 
-def end_hold(visible: tuple[bool, bool]) -> NDArray[np.float64]:
-    """Return the tolerance of each end's position about the guess, radii, shape (2,)."""
-    return np.where(visible, _ANCHOR_SD, _HIDDEN_ANCHOR_SD)
-
-
 def add_shape_prior(
-    normal: NDArray[np.float64],
-    target: NDArray[np.float64],
-    shape: TubeShape,
-    anchors_m: NDArray[np.float64],
-    anchors_sd: NDArray[np.float64],
+    normal: Array, target: Array, shape: TubeShape, anchors_m: Array, anchors_sd: Array
 ) -> None:
     """Add the prior of a fruit's shape to normal equations, in place.
 
@@ -80,13 +72,13 @@ def add_shape_prior(
     anchors_m : ndarray of float64, shape (2, 3)
         Initial positions of the ends.
     anchors_sd : ndarray of float64, shape (2,)
-        Their tolerances, radii (`end_hold`).
+        Their tolerances, radii.
     """
     bend, width = shape.bend_m, shape.width_m
     count, split = len(bend), bend.size
     steps = bend[1:] - bend[:-1]
     step = float(np.sqrt(np.einsum("ij,ij->i", steps, steps)).mean())
-    radius = max(median_of(width), 0.002)
+    radius = max(quick_median(width), 0.002)
     second, smooth, twist = _differences(count)
     twist_sd = min(_TWIST_SD * step / BEND_SEGMENTS**2, _BEND_CHANGE_SD * step**3)
     ends = bases(2)[0]
@@ -116,20 +108,13 @@ def add_shape_prior(
 
 
 @lru_cache(maxsize=4)
-def _differences(
-    count: int,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def _differences(count: int) -> tuple[Array, Array, Array]:
     # The second differences' matrix; its square, and the third differences'.
     second, third = (np.diff(np.eye(count), order, axis=0) for order in (2, 3))
     return second, second.T @ second, third.T @ third
 
 
-def add_nuisance_prior(
-    normal: NDArray[np.float64],
-    target: NDArray[np.float64],
-    nuisance: NDArray[np.float64],
-    evidence: Evidence,
-) -> None:
+def add_nuisance_prior(normal: Array, target: Array, nuisance: Array, evidence: Evidence) -> None:
     """Add the priors of the outline's shift and of the depth waves to normal equations, in place.
 
     Parameters
@@ -184,7 +169,7 @@ class TubeFitting:
     """
 
     shape: TubeShape
-    covariance: NDArray[np.float64]
+    covariance: Array
     points: Gaps
     rays: Gaps
     ends_seen: tuple[bool, bool]
@@ -201,7 +186,7 @@ class TubeFitting:
         return float(np.sqrt(max(slope @ self.covariance @ slope, 0.0)))
 
     @property
-    def ends_covariance(self) -> NDArray[np.float64]:
+    def ends_covariance(self) -> Array:
         """Covariance of the first and the last end, shape (2, 6, 6).
 
         Of each pole's place (metres) and of the unit vector that leads out of the body there.
@@ -223,7 +208,7 @@ class TubeFitting:
         return np.stack(covariances)
 
 
-def _kron(weights: NDArray[np.float64], matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+def _kron(weights: Array, matrix: Array) -> Array:
     # As np.kron, in a tenth of its time.
     return (matrix[:, None] * weights[None, :, None]).reshape(len(matrix), -1)
 
@@ -274,12 +259,7 @@ def fit_shape(evidence: Evidence, guess: TubeShape) -> TubeFitting:
     )
 
 
-def _gaps_of(
-    gap_m: NDArray[np.float64],
-    away: NDArray[np.float64],
-    centres_m: NDArray[np.float64],
-    *others: NDArray[Any],
-) -> Gaps:
+def _gaps_of(gap_m: Array, away: Array, centres_m: Array, *others: Numbers) -> Gaps:
     # Results of the kernel; the last array holds the position of each reading along the curve.
     index = others[-1]
     bend, width = (table.take(index, axis=0) for table in bases(FINE + 1))
@@ -288,7 +268,7 @@ def _gaps_of(
 
 def _fit_by_numpy(evidence: Evidence, guess: TubeShape) -> TubeFitting:
     shape, nuisance = guess, np.zeros(SLIPS + evidence.waves)
-    scatter, hold = (1.0, 1.0), end_hold((True, True))
+    scatter, hold = (1.0, 1.0), np.full(2, _ANCHOR_SD)
     anchors = guess.balls(2)[0]
     settled, length_m, still = False, 0.0, 0
     for step, scale in enumerate((*_SCHEDULE, *[_SCHEDULE[-1]] * _MORE_STEPS)):
@@ -299,14 +279,16 @@ def _fit_by_numpy(evidence: Evidence, guess: TubeShape) -> TubeFitting:
         if step >= _SETTLED:
             scatter = points.scatter(SCATTER_POINTS), rays.scatter(SCATTER_RAYS)
             visible = ends_seen(shape, rays.contacts, evidence.rays)
-            hold = end_hold(visible)
+            hold = np.where(visible, _ANCHOR_SD, _HIDDEN_ANCHOR_SD)
         shares = evidence.points_share, evidence.rays_share
         normal, target = normal_equations((points, rays), shares, scatter, scale)
         add_shape_prior(normal, target, shape, anchors, hold)
         add_nuisance_prior(normal, target, nuisance, evidence)
-        move = solve_held(normal, target, BODY)
+        body = np.arange(BODY)
+        normal[body, body] += _LEAST_HOLD * float(normal[body, body].mean())
+        move = np.asarray(np.linalg.solve(normal, target))
         settled = float(np.abs(move[:SHAPE]).max()) < _STILL_M
-        shape, move = stepped(shape, move, BODY)
+        shape, move = stepped(shape, move)
         if step >= _SETTLED:
             before, length_m = length_m, shape.length_m
             still = still + 1 if abs(length_m - before) < _STILL_SHARE * length_m else 0
@@ -322,33 +304,7 @@ def _fit_by_numpy(evidence: Evidence, guess: TubeShape) -> TubeFitting:
     return TubeFitting(shape, covariance, remains, rays.contacts, visible, misfit)
 
 
-def solve_held(
-    normal: NDArray[np.float64], target: NDArray[np.float64], body: int
-) -> NDArray[np.float64]:
-    """Solve normal equations for the step, with a small ridge on the unknowns of the body.
-
-    Parameters
-    ----------
-    normal : ndarray of float64, shape (K, K)
-        Changed in place: its first `body` diagonal elements grow by `_LEAST_HOLD` of their mean.
-    target : ndarray of float64, shape (K,)
-        Product of `normal` and the step.
-    body : int
-        Number of unknowns of the body.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If they have no solution.
-    """
-    first = np.arange(body)
-    normal[first, first] += _LEAST_HOLD * float(normal[first, first].mean())
-    return np.asarray(np.linalg.solve(normal, target))
-
-
-def stepped(
-    shape: TubeShape, move: NDArray[np.float64], body: int
-) -> tuple[TubeShape, NDArray[np.float64]]:
+def stepped(shape: TubeShape, move: Array) -> tuple[TubeShape, Array]:
     """Return a body after a step, and the step as it was taken.
 
     A step longer than the body's width is shortened, because it would leave the readings that
@@ -361,24 +317,22 @@ def stepped(
         The body before.
     move : ndarray of float64, shape (K,)
         The step; its first `SHAPE` unknowns are the body's, metres.
-    body : int
-        Number of its unknowns that limit the step, metres.
     """
     limit = 0.6 * float(np.abs(shape.width_m).max()) + 0.002
-    move = move * min(1.0, limit / max(float(np.abs(move[:body]).max()), 1e-12))
+    move = move * min(1.0, limit / max(float(np.abs(move[:BODY]).max()), 1e-12))
     split = shape.bend_m.size
     width = shape.width_m + move[split:SHAPE]
-    width = np.maximum(width, _LEAST_WIDTH * median_of(width))
+    width = np.maximum(width, _LEAST_WIDTH * quick_median(width))
     return TubeShape(shape.bend_m + move[:split].reshape(-1, 3), width), move
 
 
 _ROUNDS = 4
 _DEEP_M = 0.03  # distance of a bent and round fruit from its plane
 _LEAST_MIDLINE = 9  # points of a mask, and readings, that a middle line needs
-_PLANE_ROUNDS, _PLANE_RIDGE, _LEAST_OFF_M = 6, 1e-6, 0.002
+_PLANE_RIDGE, _LEAST_OFF_M = 1e-6, 0.002
 
 
-def near_depths(points_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+def near_depths(points_m: Array) -> Mask:
     """Return which points are near the plane of most of them.
 
     A tilted fruit lies along a plane even if it is steep or its middle is hidden. Background in
@@ -404,18 +358,12 @@ def near_depths(points_m: NDArray[np.float64]) -> NDArray[np.bool_]:
     depth_m = points_m[:, 2]
     # A plane in space is linear in the inverse depth over the picture.
     terms = np.column_stack([points_m[:, :2] / depth_m[:, None], np.ones(len(depth_m))])
-    weight = np.ones(len(depth_m))
-    for _ in range(_PLANE_ROUNDS):  # towards the least sum of absolute deviations
-        weighted = terms * weight[:, None]
-        ridge = _PLANE_RIDGE * np.diag([1.0, 1.0, 0.0]) * weight.sum()
-        plane = np.linalg.solve(weighted.T @ terms + ridge, weighted.T @ (1 / depth_m))
-        off = np.abs(1 / depth_m - terms @ plane) * depth_m**2
-        weight = 1 / np.maximum(off, _LEAST_OFF_M)
-    inliers: NDArray[np.bool_] = off <= 3.0 * median_of(off) + _DEEP_M
+    off = robust_plane(terms, 1 / depth_m, depth_m**2, _LEAST_OFF_M, _PLANE_RIDGE)[1]
+    inliers: Mask = off <= 3.0 * quick_median(off) + _DEEP_M
     return inliers
 
 
-def guess_shape(points_m: NDArray[np.float64], level: NDArray[np.bool_] | None = None) -> TubeShape:
+def guess_shape(points_m: Array, level: Mask | None = None) -> TubeShape:
     """Guess a tube: a parabola along the principal axis, moved inward by its own radius.
 
     Parameters
@@ -445,30 +393,38 @@ def guess_shape(points_m: NDArray[np.float64], level: NDArray[np.bool_] | None =
         centroid, axis = principal_axis(points_m[inliers])
         along = (points_m - centroid) @ axis
         off = points_m - centroid - along[:, None] * axis
-        power = np.stack([np.ones_like(along), along, along**2], axis=1)
+        power = _powers(along)
         bow = np.linalg.lstsq(power[inliers], off[inliers], rcond=None)[0]
         residual = off - power @ bow
         distance = np.sqrt(np.einsum("ij,ij->i", residual, residual))
-        inliers = level & (distance <= 3.0 * median_of(distance[inliers]) + 1e-6)
+        inliers = level & (distance <= 3.0 * quick_median(distance[inliers]) + 1e-6)
     view = centroid / np.linalg.norm(centroid)
     side = np.cross(axis, view)
     norm = float(np.linalg.norm(side))
     across = np.abs(residual[inliers] @ side) / norm if norm > 0.05 else distance[inliers]
-    radius = 2.0 * median_of(across)
-    start, stop = np.quantile(along[inliers], [0.002, 0.998])
+    radius = 2.0 * quick_median(across)
+    t = _inner(*np.quantile(along[inliers], [0.002, 0.998]), radius)
+    return _tube_behind(centroid + t[:, None] * axis + _powers(t) @ bow, radius)
+
+
+def _inner(start: float, stop: float, radius: float) -> Array:
+    """Return positions along a body, without a radius at each end."""
     short = min(radius, 0.4 * (stop - start))
-    t = np.linspace(start + short, stop - short, 33)
-    curve = centroid + t[:, None] * axis + np.stack([np.ones_like(t), t, t**2], axis=1) @ bow
-    curve += 0.785 * radius * curve / np.linalg.norm(curve, axis=1)[:, None]
-    return shape_from_curve(curve, max(radius, 1e-3))
+    return np.linspace(start + short, stop - short, 33)
+
+
+def _powers(t: Array) -> Array:
+    return np.stack([np.ones_like(t), t, t**2], axis=1)
+
+
+def _tube_behind(surface_m: Array, radius: float) -> TubeShape:
+    """Return the tube whose visible surface has a middle line."""
+    inward = surface_m / np.linalg.norm(surface_m, axis=1)[:, None]
+    return shape_from_curve(surface_m + 0.785 * radius * inward, max(radius, 1e-3))
 
 
 def guess_from_picture(
-    picture: NDArray[np.float64],
-    has_depth: NDArray[np.bool_],
-    inverse_depth: NDArray[np.float64],
-    *,
-    by_girth: bool = False,
+    picture: Array, has_depth: Mask, inverse_depth: Array, *, by_girth: bool = False
 ) -> TubeShape:
     """Guess a tube from its mask: a parabola in the picture, on a plane in depth.
 
@@ -503,33 +459,26 @@ def guess_from_picture(
     middle = picture.mean(axis=0)
     _, axes = np.linalg.eigh(np.cov((picture - middle).T))
     along, across = ((picture - middle) @ axes[:, k] for k in (1, 0))
-    power = np.stack([np.ones_like(along), along, along**2], axis=1)
+    power = _powers(along)
     bow = np.linalg.lstsq(power, across, rcond=None)[0]
     half = 2.0 * float(np.median(np.abs(across - power @ bow)))
-    terms, weight = power[has_depth][:, :2], np.ones(len(inverse_depth))
+    terms = power[has_depth][:, :2]
     girth = np.linalg.lstsq(power[:, :2], np.abs(across - power @ bow), rcond=None)[0]
-    plane = girth * np.median(inverse_depth / np.maximum(terms @ girth, 0.05 * half))
-    for _ in range(0 if by_girth else _PLANE_ROUNDS):  # to the least sum of absolute deviations
-        weighted = terms * weight[:, None]
-        plane = np.linalg.lstsq(weighted.T @ terms, weighted.T @ inverse_depth, rcond=None)[0]
-        off = np.abs(inverse_depth - terms @ plane) / np.median(inverse_depth) ** 2
-        weight = 1 / np.maximum(off, _LEAST_OFF_M)
-    start, stop = np.quantile(along, [0.005, 0.995])
-    short = min(half, 0.4 * (stop - start))
-    t = np.linspace(start + short, stop - short, 33)
-    powers = np.stack([np.ones_like(t), t, t**2], axis=1)
+    if by_girth:
+        plane = girth * np.median(inverse_depth / np.maximum(terms @ girth, 0.05 * half))
+    else:
+        columns, scale = terms[:, ::-1], 1 / float(np.median(inverse_depth)) ** 2
+        plane = robust_plane(columns, inverse_depth, scale, _LEAST_OFF_M)[0][::-1]
+    t = _inner(*np.quantile(along, [0.005, 0.995]), half)
+    powers = _powers(t)
     line = middle + t[:, None] * axes[:, 1] + (powers @ bow)[:, None] * axes[:, 0]
     usual = float(np.median(inverse_depth))
     depth_m = 1 / np.clip(powers[:, :2] @ plane, 0.5 * usual, 2.0 * usual)
-    radius = max(half / usual, 1e-3)
-    curve = np.column_stack([line, np.ones(len(line))]) * depth_m[:, None]
-    curve += 0.785 * radius * curve / np.linalg.norm(curve, axis=1)[:, None]
-    return shape_from_curve(curve, radius)
+    surface_m = np.column_stack([line, np.ones(len(line))]) * depth_m[:, None]
+    return _tube_behind(surface_m, max(half / usual, 1e-3))
 
 
-def guess_from_midline(
-    picture: NDArray[np.float64], mask: NDArray[np.bool_], depth_m: NDArray[np.float64]
-) -> TubeShape | None:
+def guess_from_midline(picture: Array, mask: Mask, depth_m: Array) -> TubeShape | None:
     """Guess a tube along the middle line of its mask, also for a strongly bent fruit.
 
     The line is the cheapest path between the two points of the mask that are farthest apart
@@ -581,26 +530,21 @@ def guess_from_midline(
         line.append(int(before[line[-1]]))
     half = float(np.median(inside[line]))
     along = arc_positions(points[line])
-    short = min(half, 0.4 * along[-1])
-    positions = np.linspace(short, along[-1] - short, 33)
+    positions = _inner(0.0, along[-1], half)
     path = np.stack([np.interp(positions, along, points[line][:, k]) for k in (0, 1)], axis=1)
     neighbours = _nearest(cKDTree(picture[readable]), path, _LEAST_MIDLINE)[1]
     line_depth_m = np.median(depth_m[readable][neighbours], axis=1)
-    curve = np.column_stack([path, np.ones(len(path))]) * line_depth_m[:, None]
-    radius = max(half * float(np.median(line_depth_m)), 1e-3)
-    curve += 0.785 * radius * curve / np.linalg.norm(curve, axis=1)[:, None]
-    return shape_from_curve(curve, radius)
+    surface_m = np.column_stack([path, np.ones(len(path))]) * line_depth_m[:, None]
+    return _tube_behind(surface_m, max(half * float(np.median(line_depth_m)), 1e-3))
 
 
-def _nearest(
-    tree: Any, points: NDArray[np.float64], count: int
-) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+def _nearest(tree: Any, points: Array, count: int) -> tuple[Array, Ints]:
     # Distances and numbers of the nearest points, (N, count) each.
     distance, number = tree.query(points, k=range(1, count + 1))
     return np.asarray(distance), np.asarray(number)
 
 
-def _graph(pairs: NDArray[np.intp], cost: NDArray[np.float64], count: int) -> Any:
+def _graph(pairs: Ints, cost: Array, count: int) -> Any:
     # Graph of the points with the cost of each pair.
     from scipy.sparse import coo_array
 
@@ -608,7 +552,7 @@ def _graph(pairs: NDArray[np.intp], cost: NDArray[np.float64], count: int) -> An
     return coo_array((cost, (ends[0], ends[1])), shape=(count, count)).tocsr()
 
 
-def _paths(graph: Any, start: int) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+def _paths(graph: Any, start: int) -> tuple[Array, Ints]:
     # Cost of the path from a point to every other one, and the last point before that.
     from scipy.sparse import csgraph
 
@@ -616,5 +560,5 @@ def _paths(graph: Any, start: int) -> tuple[NDArray[np.float64], NDArray[np.intp
     return np.asarray(result[0]), np.asarray(result[1])
 
 
-def _farthest(distance: NDArray[np.float64]) -> int:
+def _farthest(distance: Array) -> int:
     return int(np.argmax(np.where(np.isfinite(distance), distance, -1.0)))

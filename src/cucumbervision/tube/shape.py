@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
+
+    from cucumbervision.arrays import Array, Mask, Numbers
 
 
 BEND_SEGMENTS = 4
@@ -30,8 +32,8 @@ class TubeShape:
         Control values of the radius' uniform cubic B-spline, metres.
     """
 
-    bend_m: NDArray[np.float64]
-    width_m: NDArray[np.float64]
+    bend_m: Array
+    width_m: Array
 
     @property
     def length_m(self) -> float:
@@ -40,63 +42,43 @@ class TubeShape:
         steps = centres[1:] - centres[:-1]
         return float(np.sqrt(np.einsum("ij,ij->i", steps, steps)).sum() + radii[0] + radii[-1])
 
-    def balls(self, count: int = BALLS) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def balls(self, count: int = BALLS) -> tuple[Array, Array]:
         """Return centres, shape (count, 3), and radii, shape (count,), evenly along the curve."""
         bend, width = bases(count)
         return bend @ self.bend_m, width @ self.width_m
 
 
-def cubic_basis(t: NDArray[Any], segments: int) -> NDArray[np.float64]:
-    """Compute each control point's weight at each parameter.
+@lru_cache(maxsize=16)
+def bases(count: int) -> tuple[Array, Array]:
+    """Return each control point's weight in centre and radius at evenly spaced places.
 
     Parameters
     ----------
-    t : ndarray of float, shape (N,)
-        Parameters in [0, 1].
-    segments : int
-        Number of polynomial pieces; there are `segments + 3` control points.
+    count : int
+        Number of places along the curve, from its first end to its last.
 
     Returns
     -------
-    ndarray of float64, shape (N, segments + 3)
-        Rows sum to 1.
-
-    Notes
-    -----
-    The uniform cubic basis (de Boor 1978), knots at multiples of 1 / segments on both sides; to the
-    last bit that of SciPy's `BSpline.design_matrix`, which takes a tenth of the program's start to
-    import.
+    bend, width : ndarray of float64, shape (count, 7) and (count, 15)
+        Uniform cubic B-splines (de Boor 1978), knots at multiples of one segment on both sides;
+        rows sum to 1.
 
     Examples
     --------
-    >>> (6 * cubic_basis(np.array([0.0, 0.5, 1.0]), 1)).round(3).tolist()
-    [[1.0, 4.0, 1.0, 0.0], [0.125, 2.875, 2.875, 0.125], [0.0, 1.0, 4.0, 1.0]]
+    >>> bases(2)[0].round(3).tolist()[0]
+    [0.167, 0.667, 0.167, 0.0, 0.0, 0.0, 0.0]
     """
-    knots = np.arange(-3, segments + 4) / segments
-    piece = np.clip(np.searchsorted(knots, t, side="right") - 1, 3, segments + 2)
-    rows = np.zeros((len(t), 4))
-    rows[:, 0] = 1
-    for degree in (1, 2, 3):
-        lower = rows[:, :degree].copy()
-        rows[:, 0] = 0
-        for n in range(1, degree + 1):
-            right, left = knots[piece + n], knots[piece + n - degree]
-            weight = lower[:, n - 1] / (right - left)
-            rows[:, n - 1] += weight * (right - t)
-            rows[:, n] = weight * (t - left)
-    basis = np.zeros((len(t), segments + 3))
-    basis[np.arange(len(t))[:, None], piece[:, None] + np.arange(-3, 1)] = rows
-    return basis
+    from scipy.interpolate import BSpline
+
+    places = np.linspace(0.0, 1.0, count)
+    bend, width = (
+        BSpline.design_matrix(places, np.arange(-3, segments + 4) / segments, 3).toarray()
+        for segments in (BEND_SEGMENTS, WIDTH_SEGMENTS)
+    )
+    return bend, width
 
 
-@lru_cache(maxsize=16)
-def bases(count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the bases of centre and radius at evenly spaced places, (count, 7) and (count, 15)."""
-    t = np.linspace(0.0, 1.0, count)
-    return cubic_basis(t, BEND_SEGMENTS), cubic_basis(t, WIDTH_SEGMENTS)
-
-
-def shape_from_curve(curve_m: NDArray[np.float64], radius_m: float) -> TubeShape:
+def shape_from_curve(curve_m: Array, radius_m: float) -> TubeShape:
     """Return the tube of constant radius along a polyline.
 
     Parameters
@@ -119,9 +101,10 @@ def shape_from_curve(curve_m: NDArray[np.float64], radius_m: float) -> TubeShape
 
 
 _TIP_BALLS = 4
+_PLANE_ROUNDS = 6
 
 
-def axis_path(centres_m: NDArray[Any], radii_m: NDArray[Any]) -> NDArray[np.float64]:
+def axis_path(centres_m: Numbers, radii_m: Numbers) -> Array:
     """Return the central axis from pole to pole.
 
     Parameters
@@ -150,8 +133,8 @@ def axis_path(centres_m: NDArray[Any], radii_m: NDArray[Any]) -> NDArray[np.floa
 
 
 def with_tips(
-    centres_m: NDArray[np.float64], radii_m: NDArray[np.float64], overhangs_m: tuple[float, float]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    centres_m: Array, radii_m: Array, overhangs_m: tuple[float, float]
+) -> tuple[Array, Array]:
     """Return a body with pointed ends, whose poles lie beyond those of its last balls.
 
     Parameters
@@ -184,7 +167,7 @@ def with_tips(
     return centres_m, radii_m
 
 
-def bending_direction(axis_m: NDArray[Any]) -> NDArray[np.float64]:
+def bending_direction(axis_m: Numbers) -> Array:
     """Return the unit vector from the chord towards the convex side, in the plane of bending.
 
     Parameters
@@ -213,7 +196,7 @@ def bending_direction(axis_m: NDArray[Any]) -> NDArray[np.float64]:
     return _unit(mean)
 
 
-def thread_length(centres_m: NDArray[Any], radii_m: NDArray[Any], outward: NDArray[Any]) -> float:
+def thread_length(centres_m: Numbers, radii_m: Numbers, outward: Numbers) -> float:
     """Compute the length of the outer side of the bend between the two poles.
 
     It is the centreline's length plus |∫ κ r ds|, where κ is the signed curvature in the plane
@@ -255,7 +238,7 @@ def thread_length(centres_m: NDArray[Any], radii_m: NDArray[Any], outward: NDArr
 
 
 def inner_arc_height(
-    centres_m: NDArray[Any], radii_m: NDArray[Any], poles_m: NDArray[Any], outward: NDArray[Any]
+    centres_m: Numbers, radii_m: Numbers, poles_m: Numbers, outward: Numbers
 ) -> float:
     """Return the largest distance from the chord to the body's inner edge.
 
@@ -285,13 +268,11 @@ def inner_arc_height(
     >>> round(inner_arc_height(centres, np.full(200, 0.02), poles, up), 4)
     0.2
     """
-    inner, _, _, _ = _contacts(centres_m, radii_m, -outward)
+    inner = _contacts(centres_m, radii_m, -outward)
     return max(0.0, float(((inner - poles_m[0]) @ outward).max()))
 
 
-def profile(
-    centres_m: NDArray[Any], radii_m: NDArray[Any], samples: int = 101
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def profile(centres_m: Numbers, radii_m: Numbers, samples: int = 101) -> tuple[Array, Array]:
     """Return the body's diameter along its axis from pole to pole.
 
     Parameters
@@ -324,9 +305,7 @@ def profile(
     return along - start, 2 * np.sqrt(np.maximum(half.max(axis=1), 0.0))
 
 
-def _reaching(
-    centres_m: NDArray[Any], radii_m: NDArray[Any]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _reaching(centres_m: Numbers, radii_m: Numbers) -> tuple[Array, Array]:
     # The balls between the two that reach farthest along the axis: beyond them all is swallowed.
     along, radii = arc_positions(centres_m), np.maximum(radii_m, 0.0)
     first, last = int(np.argmin(along - radii)), int(np.argmax(along + radii))
@@ -336,30 +315,27 @@ def _reaching(
     return centres, np.asarray(radii[first : last + 1], dtype=np.float64)
 
 
-def _contacts(
-    centres_m: NDArray[Any], radii_m: NDArray[Any], side: NDArray[Any]
-) -> tuple[NDArray[np.float64], ...]:
-    # Where each ball touches the common envelope on one side; the radius' slope, the tangent and
-    # the perpendicular towards that side there.
+def _contacts(centres_m: Numbers, radii_m: Numbers, side: Numbers) -> Array:
+    # Where each ball touches the common envelope on one side.
     tangents = np.gradient(np.asarray(centres_m, dtype=np.float64), axis=0)
     speed = np.maximum(np.linalg.norm(tangents, axis=1), 1e-12)
     tangents /= speed[:, None]
     across = side - (tangents @ side)[:, None] * tangents
     across /= np.maximum(np.linalg.norm(across, axis=1), 1e-12)[:, None]
-    slope = np.clip(np.gradient(np.asarray(radii_m, dtype=np.float64)) / speed, -1.0, 1.0)
-    lean = slope[:, None]
+    slope = np.gradient(np.asarray(radii_m, dtype=np.float64)) / speed
+    lean = np.clip(slope, -1.0, 1.0)[:, None]
     touch = -lean * tangents + np.sqrt(1 - lean**2) * across
-    return centres_m + radii_m[:, None] * touch, slope, tangents, across
+    return np.asarray(centres_m + radii_m[:, None] * touch, dtype=np.float64)
 
 
-def _unit(vector: NDArray[Any]) -> NDArray[np.float64]:
+def _unit(vector: Numbers) -> Array:
     return np.asarray(vector / max(float(np.linalg.norm(vector)), 1e-12), dtype=np.float64)
 
 
 _COINCIDENT = 1e-9  # of the whole: closer vertices are one, or their parameters would be
 
 
-def polyline_length(vertices_m: NDArray[Any]) -> float:
+def polyline_length(vertices_m: Numbers) -> float:
     """Return the summed length of the segments.
 
     Parameters
@@ -375,9 +351,7 @@ def polyline_length(vertices_m: NDArray[Any]) -> float:
     return float(np.linalg.norm(np.diff(vertices_m, axis=0), axis=1).sum())
 
 
-def natural_spline(
-    vertices_m: NDArray[Any], samples: int = 1000
-) -> tuple[float, NDArray[np.float64]]:
+def natural_spline(vertices_m: Numbers, samples: int = 1000) -> tuple[float, Array]:
     """Lay a natural cubic spline through the vertices and integrate its length.
 
     The paper's Eqs. 5 and 6: one spline a coordinate over the chord-length parameter in [0, 1],
@@ -424,7 +398,7 @@ def natural_spline(
     return float(np.trapezoid(np.linalg.norm(spline(u, 1), axis=1), u)), spline(u)
 
 
-def arc_positions(centres_m: NDArray[Any]) -> NDArray[np.float64]:
+def arc_positions(centres_m: Numbers) -> Array:
     """Return each centre's arc length from the first, metres.
 
     Examples
@@ -436,7 +410,7 @@ def arc_positions(centres_m: NDArray[Any]) -> NDArray[np.float64]:
     return np.concatenate(([0.0], np.cumsum(steps)))
 
 
-def points_along(vertices: NDArray[Any], shares: ArrayLike) -> NDArray[np.float64]:
+def points_along(vertices: Numbers, shares: ArrayLike) -> Array:
     """Return the points of a polyline at shares of its length.
 
     Parameters
@@ -476,13 +450,13 @@ class AlignedCloud:
         Each point's position along the axis, metres from the centroid.
     """
 
-    points_m: NDArray[np.float64]
-    centroid_m: NDArray[np.float64]
-    axis: NDArray[np.float64]
-    along_m: NDArray[np.float64]
+    points_m: Array
+    centroid_m: Array
+    axis: Array
+    along_m: Array
 
 
-def align_near(points_m: NDArray[Any], half_width_m: float) -> AlignedCloud:
+def align_near(points_m: Numbers, half_width_m: float) -> AlignedCloud:
     """Gate a cloud by depth and find its principal axis: what M2, M3 and M5 begin with.
 
     Parameters
@@ -507,7 +481,7 @@ def align_near(points_m: NDArray[Any], half_width_m: float) -> AlignedCloud:
     return AlignedCloud(gated, centroid, axis, along)
 
 
-def depth_gate(points_m: NDArray[Any], half_width_m: float) -> NDArray[Any]:
+def depth_gate(points_m: Numbers, half_width_m: float) -> Numbers:
     """Keep the points whose depth is within `half_width_m` of the median depth.
 
     Parameters
@@ -531,11 +505,11 @@ def depth_gate(points_m: NDArray[Any], half_width_m: float) -> NDArray[Any]:
     if not len(points_m):
         return points_m
     z = points_m[:, 2]
-    inside: NDArray[np.bool_] = np.abs(z - np.median(z)) <= half_width_m
+    inside: Mask = np.abs(z - np.median(z)) <= half_width_m
     return points_m[inside]
 
 
-def principal_axis(points_m: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def principal_axis(points_m: Numbers) -> tuple[Array, Array]:
     """Return the centroid and the direction of largest spread.
 
     The first right singular vector of the centred cloud (the paper's Eq. 2), found as the first
@@ -570,9 +544,50 @@ def principal_axis(points_m: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray
     return centroid, axis if axis[np.argmax(np.abs(axis))] > 0 else -axis
 
 
-def bin_centroids(
-    points_m: NDArray[Any], along_m: NDArray[Any], bins: int, at_least: int
-) -> NDArray[np.float64]:
+def robust_plane(
+    terms: Array, values: Array, scale: Array | float, least: float, ridge: float = 0.0
+) -> tuple[Array, Array]:
+    """Fit a plane with about the least sum of absolute deviations.
+
+    Parameters
+    ----------
+    terms : ndarray of float64, shape (N, K)
+        Coordinates in the plane, and ones in the last column.
+    values : ndarray of float64, shape (N,)
+        What the plane gives: of a plane in space, the inverse depth over the image is linear.
+    scale : ndarray of float64, shape (N,), or float
+        Factor on the deviations.
+    least : float
+        Deviation below which all are equally good.
+    ridge : float
+        Share of the weights that holds the slopes near 0.
+
+    Returns
+    -------
+    plane : ndarray of float64, shape (K,)
+        Coefficients of the terms.
+    off : ndarray of float64, shape (N,)
+        The scaled absolute deviations.
+
+    Examples
+    --------
+    >>> x = np.arange(9.0)
+    >>> plane, off = robust_plane(np.stack([x, x**0], axis=1), 2 * x + 50 * (x == 4), 1.0, 1e-6)
+    >>> (plane.round(3) + 0).tolist(), off.round(3).max()
+    ([2.0, 0.0], np.float64(50.0))
+    """
+    weight = np.ones(len(values))
+    held = ridge * np.diag([*np.ones(terms.shape[1] - 1), 0.0])
+    for _ in range(_PLANE_ROUNDS):
+        weighted = terms * weight[:, None]
+        normal = weighted.T @ terms + held * weight.sum()
+        plane = np.linalg.lstsq(normal, weighted.T @ values, rcond=None)[0]
+        off = np.abs(values - terms @ plane) * scale
+        weight = 1 / np.maximum(off, least)
+    return plane, off
+
+
+def bin_centroids(points_m: Numbers, along_m: Numbers, bins: int, at_least: int) -> Array:
     """Cut a cloud into equal bins along an axis and give the centroids of the filled ones.
 
     Parameters

@@ -206,19 +206,19 @@ def _methods(own_truth: OwnTruth) -> None:
             _("Method"): score.method,
             _("Against"): _(LENGTH_NAMES[score.kind]),
             _("Fruit"): score.fruit,
-            _("Mean absolute error"): f"{number_words(score.metrics.mape_percent, 1)} %",
+            _("Mean absolute error"): f"{number_words(score.mape_percent, 1)} %",
             "95 %": _("needs 3 fruit")
             if score.low_percent != score.low_percent
             else _("{low} to {high}").format(
                 low=number_words(score.low_percent, 1),
                 high=f"{number_words(score.high_percent, 1)} %",
             ),
-            _("Measured"): f"{100 * score.metrics.measured:.0f} %",
+            _("Measured"): f"{100 * score.measured:.0f} %",
         }
         for score in own_truth.scores
     ]
     page_elements.table(lines)
-    if any(score.metrics.measured < 1 for score in own_truth.scores):
+    if any(score.measured < 1 for score in own_truth.scores):
         st.caption(_("A fruit that a method did not measure counts as an error of 100 %."))
     for note in own_truth.notes:
         st.caption(plain(note))

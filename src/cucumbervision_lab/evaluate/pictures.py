@@ -12,9 +12,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from cucumbervision.capture.depth import depth_to_metres
 from cucumbervision.capture.frames import Capture
-from cucumbervision.capture.pictures import read_color, read_depth
+from cucumbervision.capture.pictures import depth_to_metres, read_color, read_depth
 from cucumbervision.errors import DataSetError, MissingExtraError, ModelError
 from cucumbervision.fruit.instance import Instance
 from cucumbervision.fruit.mask_codes import Rle

@@ -10,8 +10,7 @@ import cv2
 import numpy as np
 from scipy.special import ndtri
 
-from cucumbervision.capture.intrinsics import Intrinsics, Stream
-from cucumbervision.tube.camera import color_sources
+from cucumbervision.capture.intrinsics import Intrinsics, Stream, color_sources
 from cucumbervision_lab.scenes.raycast import ray_grid
 from cucumbervision_lab.scenes.scene import Kind, render
 
@@ -343,17 +342,9 @@ def sense(
     settled = np.maximum(matched.disparity_px + waves, np.float32(camera.subpixel_step_px))
     base = np.where(valid, focal_baseline / settled, 0).astype(np.float32)
     # An error of the alignment moves all readings, as if the principal point lay elsewhere.
-    aligned = camera.color.matrix.copy()
-    aligned[:2, 2] += rng.normal(0, camera.registration_px)
-    sources = color_sources(
-        base,
-        seen_by.matrix,
-        aligned,
-        camera.color.size,
-        camera.rotation,
-        camera.translation_m,
-        color_lens=(camera.color.distortion, camera.color.coefficients),
-    )
+    color, (off_x, off_y) = camera.color, rng.normal(0, camera.registration_px).tolist()
+    aligned = replace(color, cx_px=color.cx_px + off_x, cy_px=color.cy_px + off_y)
+    sources = color_sources(base, seen_by, aligned, camera.rotation, camera.translation_m)
     hit = sources >= 0
     burst = []
     for _ in range(frames):

@@ -95,7 +95,7 @@ def test_one_broken_image_loses_nothing_of_the_rest(tmp_path: Path) -> None:
         3: "rgb/000003.png: is truncated",
         4: "depth/000004.png: depth has no reading",
         5: "depth/000005.png: depth is 32x24, colour 64x48",
-        6: "mask_visib/000006_000000.png: the mask is 32x24",
+        6: "sizes differ: colour 64x48, depth 64x48, mask 0 32x24",
         77: "rgb/000077.png: image 77 is missing",
         8: "depth/000008.png: depth has 8 bits",
         9: "scene_camera.json: has no entry for image 9",
@@ -107,7 +107,8 @@ def test_one_broken_image_loses_nothing_of_the_rest(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "words"), [("{", "is not JSON"), ("[]", "is not an object of image ids")]
+    ("text", "words"),
+    [("{", "is not JSON"), ("[]", "'the whole': input should be a valid dictionary")],
 )
 def test_a_broken_camera_file(text: str, words: str, tmp_path: Path) -> None:
     make_scene(tmp_path / "set/a", images=(1,))

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cucumbervision.capture.frames import Capture
+from cucumbervision.capture.frames import Capture, fuse_burst
 from cucumbervision.capture.pictures import write_png
 from cucumbervision.capture.readers import ReadOptions, native, open_source
 from cucumbervision.capture.readers.native import write_native
@@ -119,7 +119,7 @@ def test_depth_unit(folder: Path) -> None:
 def test_masks(folder: Path) -> None:
     path = folder / "mask_visib" / "000017_000001.png"
     write_png(path, np.zeros((48, 60), np.uint8))
-    with pytest.raises(CaptureError, match=r"000017_000001\.png: the mask is 60x48"):
+    with pytest.raises(CaptureError, match=r"sizes differ: .*, mask 1 60x48"):
         load(folder)
     path.rename(folder / "mask_visib" / "000018_000001.png")
     with pytest.raises(CaptureError, match="named for frame 000018, the capture is frame 17"):
@@ -142,3 +142,89 @@ def test_a_burst_that_fills_the_memory_is_refused(
     edit(folder, lambda d: d.update(frames=4 * d["frames"][:1]))
     with pytest.raises(CaptureError, match=r"capture\.json: its frames have more than"):
         load(folder)
+
+
+def test_round_trip_is_exact(capture: Capture, tmp_path: Path) -> None:
+    assert write_native(capture, tmp_path / "a") == tmp_path / "a" / "capture.json"
+    read = load(tmp_path / "a")
+    np.testing.assert_array_equal(read.color, capture.color)
+    np.testing.assert_array_equal(read.depth_m, capture.depth_m)
+    assert read.depth_m.dtype == np.float32
+    assert len(read.masks) == 2
+    np.testing.assert_array_equal(read.masks, capture.masks)
+    for part in (
+        "intrinsics",
+        "name",
+        "frame",
+        "burst_frame",
+        "burst_size",
+        "stop",
+        "timestamp_s",
+        "simulated",
+        "provenance",
+    ):
+        assert getattr(read, part) == getattr(capture, part), part
+    assert read.source == str(tmp_path / "a")
+
+
+def test_depth_between_millimetres_gets_a_finer_unit(capture: Capture, tmp_path: Path) -> None:
+    depth = np.full((48, 64), 0.4545, np.float32)
+    path = write_native(replace(capture, depth_m=depth), tmp_path / "a")
+    written = json.loads(path.read_text())
+    assert (written["depth_unit_m"], written["depth_rounding_m"]) == (0.0005, 0.0)
+    np.testing.assert_array_equal(load(tmp_path / "a").depth_m, depth)
+
+
+def test_what_rounding_loses_is_said(capture: Capture, tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    depth = rng.uniform(0.3, 3.0, (48, 64)).astype(np.float32)
+    written = json.loads(write_native(replace(capture, depth_m=depth), tmp_path / "a").read_text())
+    loss = np.abs(load(tmp_path / "a").depth_m - depth).max()
+    # The finest step is 0.05 mm, of which half can be lost.
+    assert 0.00002 < loss <= 0.0000251
+    assert written["depth_rounding_m"] == pytest.approx(loss, abs=1e-6)
+    # Beyond 3.3 m 16 bits of it are too few.
+    depth[0, 0] = 4.0
+    written = json.loads(write_native(replace(capture, depth_m=depth), tmp_path / "b").read_text())
+    assert written["depth_unit_m"] == 0.0001
+
+
+def test_no_readings_stay_none_and_far_ones_stay(capture: Capture, tmp_path: Path) -> None:
+    depth = capture.depth_m.copy()
+    depth[0, :4] = (0.0, np.nan, np.inf, -1.0)
+    depth[0, 4] = 12.0
+    write_native(replace(capture, depth_m=depth), tmp_path / "a")
+    read = load(tmp_path / "a").depth_m
+    assert read[0, :5].tolist() == [0.0, 0.0, 0.0, 0.0, 12.0]
+
+
+def test_depth_too_far_for_16_bits_is_refused(capture: Capture, tmp_path: Path) -> None:
+    with pytest.raises(CaptureError, match=r"70 m, too far"):
+        write_native(replace(capture, depth_m=np.full((48, 64), 70.0, np.float32)), tmp_path / "a")
+    assert not (tmp_path / "a").exists()
+
+
+def test_unfused_burst_is_fused_when_read(capture: Capture, tmp_path: Path) -> None:
+    rng = np.random.default_rng(5)
+    color = rng.integers(0, 50, (6, 8, 3), np.uint8).repeat(8, axis=0).repeat(8, axis=1)
+    frames = [
+        (
+            color * 5 // 4 if i == 1 else color,
+            (rng.integers(400, 420, (48, 64)) * 0.001).astype(np.float32),
+        )
+        for i in range(4)
+    ]
+    write_native(capture, tmp_path / "a", burst=frames, timestamps_s=[1.0, 2.0, 3.0, 4.0])
+    read = load(tmp_path / "a")
+    fused = fuse_burst([c for c, _ in frames], [d for _, d in frames])
+    assert (fused.burst_frame, read.burst_frame, read.timestamp_s) == (1, 1, 2.0)
+    assert (fused.burst_size, read.burst_size) == (4, 4)
+    np.testing.assert_array_equal(read.color, fused.color)
+    np.testing.assert_array_equal(read.depth_m, fused.depth_m)
+    assert (read.name, read.frame, len(read.masks)) == (capture.name, capture.frame, 2)
+
+
+def test_a_folder_is_never_written_twice(capture: Capture, tmp_path: Path) -> None:
+    write_native(capture, tmp_path / "a")
+    with pytest.raises(CaptureError, match="already holds a capture"):
+        write_native(capture, tmp_path / "a")

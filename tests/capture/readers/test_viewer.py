@@ -127,7 +127,7 @@ def test_extrinsics_are_needed(tmp_path: Path) -> None:
     ("table", "words"),
     [
         ({"format": "Z16H"}, "holds Z16H, not Z16"),
-        ({"width": "wide"}, "it holds no number"),
+        ({"width": "wide"}, "is damaged or of another form"),
         ({"f": 0}, "do not describe a camera"),
         ({"width": 30}, "has 1536 bytes, but 30x24"),
     ],

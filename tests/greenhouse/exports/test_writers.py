@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 from cucumbervision.cli.app import app
 from cucumbervision.crop.profiles import load_profile
 from cucumbervision.errors import CucumberVisionError, DiskFullError
-from cucumbervision.files import defused
+from cucumbervision.files import cell_value
 from cucumbervision.run.fields import Cell, Column
 from cucumbervision_greenhouse.exports import ExportFormat
 from cucumbervision_greenhouse.exports.build import COLUMNS, RoundTables, round_tables
@@ -48,7 +48,7 @@ def _read(text: str, column: Column) -> Cell:
     if text == "":
         return None
     if column.type == "text":
-        return text[1:] if defused(text[1:]) == text else text
+        return text[1:] if cell_value(text[1:]) == text else text
     if column.type == "yes/no":
         return text == "true"
     return int(text) if column.type == "whole" else float(text)
@@ -103,7 +103,7 @@ def test_excel_reads_back_the_same(tables: RoundTables, tmp_path: Path) -> None:
         for row, cells in zip(rows, table.rows, strict=True):
             for got, column in zip(row, table.columns, strict=True):
                 cell = cells[column.name]
-                assert got == (defused(cell) if isinstance(cell, str) else cell)
+                assert got == (cell_value(cell) if isinstance(cell, str) else cell)
         assert sheet.freeze_panes == f"{'ABCDEF'[frozen]}2"
         # Printed on A4, as wide as the paper, with its head on every page.
         assert (sheet.page_setup.paperSize, sheet.page_setup.fitToHeight) == (9, 0)

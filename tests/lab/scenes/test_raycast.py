@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision.tube.camera import Distortion
+from cucumbervision.capture.intrinsics import Distortion, Intrinsics
 from cucumbervision_lab.scenes.bodies import Tube, rotation
 from cucumbervision_lab.scenes.raycast import Leaf, Stem, cast_leaf, cast_stem, cast_tube, ray_grid
 

@@ -3,8 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision.tube.camera import Distortion
+from cucumbervision.capture.intrinsics import Distortion, Intrinsics
 from cucumbervision_lab.scenes.bodies import Tube, arc_tube, random_fruit, rotation
 from cucumbervision_lab.scenes.placing import occlude, place_hanging, trellis
 from cucumbervision_lab.scenes.raycast import Plane, Stem

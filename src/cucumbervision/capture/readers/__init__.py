@@ -13,7 +13,9 @@ from cucumbervision.capture.camera_file import read_camera_file
 from cucumbervision.capture.readers.native import MANIFEST
 from cucumbervision.capture.readers.pair import is_half_a_pair, open_pair_file, tum_lists
 from cucumbervision.capture.readers.recording import open_recording
-from cucumbervision.capture.source import CaptureRef, CaptureSource, Folder, ReadOptions, fail
+from cucumbervision.capture.source import CaptureRef as CaptureRef
+from cucumbervision.capture.source import CaptureSource, Folder, fail
+from cucumbervision.capture.source import ReadOptions as ReadOptions
 from cucumbervision.errors import CaptureError, PluginError, with_reason
 from cucumbervision.files import as_path, is_remote, with_retries
 from cucumbervision.plugins import Plugin, plugins
@@ -25,16 +27,6 @@ if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
     from cucumbervision.capture.source import CaptureEntry, CaptureLister
     from cucumbervision.plugins import Reader
-
-__all__ = [
-    "RECORDING_SUFFIXES",
-    "CaptureRef",
-    "CaptureSource",
-    "ReadOptions",
-    "find_captures",
-    "list_folder",
-    "open_source",
-]
 
 RECORDING_SUFFIXES = frozenset({".bag", ".db3"})
 

@@ -58,12 +58,8 @@ def _open_scenes(
         prefix = safe_name("_".join((path.resolve().name, *Path(scene_path).parts)))
         cameras, fault = dict[str, Any](), None
         try:
-            cameras = read_json(scene / SCENE_CAMERAS)
-            if not isinstance(cameras, dict):
-                remedy = "correct the file"
-                raise CaptureError(
-                    "is not an object of image ids", source=scene / SCENE_CAMERAS, remedy=remedy
-                )
+            file = scene / SCENE_CAMERAS
+            cameras = parse_model(dict[str, Any], read_json(file), source=file)
         except CaptureError as error:
             fault = error  # other scenes of the data set can still be loaded
         # A mask or depth picture without a colour picture is reported as a broken frame.
@@ -123,7 +119,8 @@ class _Image:
             color,
             partial(read_depth, files["depth"][0]),
             scene_intrinsics,
-            self.camera_file and replace(self.camera_file, depth_to_color=None),  # aligned
+            self.camera_file
+            and self.camera_file.model_copy(update={"depth_to_color": None}),  # aligned
             replace(self.options, depth_unit_m=unit_m),
             source=files["rgb"][0],
             depth_source=files["depth"][0],

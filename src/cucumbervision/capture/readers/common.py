@@ -5,24 +5,31 @@ from __future__ import annotations
 import re
 from contextlib import suppress
 from dataclasses import replace
-from functools import lru_cache
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from cucumbervision.capture.camera_file import read_camera_file
-from cucumbervision.capture.depth import depth_to_metres, enlarge_depth, require_readings
 from cucumbervision.capture.frames import Capture, Doubt, depth_along_axis
-from cucumbervision.capture.intrinsics import DepthAlong, Intrinsics, Stream, check_intrinsics
-from cucumbervision.capture.pictures import COLOR_SUFFIXES
+from cucumbervision.capture.intrinsics import (
+    DepthAlong,
+    Intrinsics,
+    Stream,
+    align_depth_to_color,
+    check_intrinsics,
+)
+from cucumbervision.capture.pictures import (
+    COLOR_SUFFIXES,
+    depth_to_metres,
+    enlarge_depth,
+    require_readings,
+)
 from cucumbervision.errors import CaptureError, IntrinsicsError, wrap_reader_errors
-from cucumbervision.tube.camera import align_depth_to_color
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    import numpy as np
-    from numpy.typing import NDArray
-
+    from cucumbervision.arrays import Array32, Numbers, Pixels
     from cucumbervision.capture.camera_file import CameraFile
     from cucumbervision.capture.source import Folder, ReadOptions
 
@@ -36,12 +43,13 @@ _CAMERA_WORD = re.compile(
     r"intrinsics?|camera|cam|k|camk|calib(ration)?|info|colou?r|rgb|depth|aligned|to|matrix|params?"
 )
 _PICTURES = tuple(COLOR_SUFFIXES)
+_Words = tuple[str, ...]
 _RECTIFIED, _RAW = (
     re.compile(rf"(?<![a-z]){word}(?![a-z])", re.IGNORECASE) for word in ("rect(ified)?", "raw")
 )
 _SAME_FOCAL = 0.005
 _SAME_VIEW = 0.01  # most by which the factors of width and height differ
-_MIDDLE = 0.4  # minimum relative position of the principal point of a matrix without a size
+_OFF_MIDDLE = 0.1  # of the size: maximum for the principal point of a matrix without a size
 
 
 def choose_intrinsics(
@@ -69,12 +77,13 @@ def choose_intrinsics(
     if camera_file is not None:
         camera = camera_file.intrinsics
         if aligned_to is Stream.DEPTH:
-            camera = replace(camera_file.depth or camera, stream=Stream.COLOR)
+            depth = camera_file.depth
+            camera = replace(depth.intrinsics if depth else camera, stream=Stream.COLOR)
         if camera_file.rectified is not None:
             camera = _of_raw_or_rectified(camera_file, camera_file.rectified, source)
         if not camera_file.is_sized:
-            middle = camera.cx_px / width, camera.cy_px / height
-            if not all(_MIDDLE <= part <= 1 - _MIDDLE for part in middle):
+            off = abs(camera.cx_px / width - 0.5), abs(camera.cy_px / height - 0.5)
+            if max(off) > _OFF_MIDDLE:
                 raise IntrinsicsError(
                     "does not say its size, and {cx:g}, {cy:g} px is not near the middle of a "
                     "picture of {size}",
@@ -118,7 +127,7 @@ def no_intrinsics(source: object) -> CaptureError:
     )
 
 
-def require_same_size(color: NDArray[Any], depth: NDArray[Any], *, source: Path) -> None:
+def require_same_size(color: Numbers, depth: Numbers, *, source: Path) -> None:
     """Raise an error if the sizes of depth and colour picture differ.
 
     Raises
@@ -139,8 +148,8 @@ def require_same_size(color: NDArray[Any], depth: NDArray[Any], *, source: Path)
 
 
 def frame_capture(
-    color: NDArray[np.uint8],
-    read_raw: Callable[[], NDArray[Any]],
+    color: Pixels,
+    read_raw: Callable[[], Numbers],
     frame_intrinsics: Intrinsics | None,
     camera_file: CameraFile | None,
     options: ReadOptions,
@@ -189,7 +198,8 @@ def frame_capture(
         frame_intrinsics, camera_file, width, height, aligned_to=aligned_to, source=source
     )
     depth_m = depth_to_metres(read_raw(), options.depth_unit_m, source=depth_source)
-    camera = (camera_file.depth if camera_file else None) or depth_camera
+    depth_model = camera_file.depth if camera_file else None
+    camera = depth_model.intrinsics if depth_model else depth_camera
     doubts: tuple[Doubt, ...] = ()
     moved = camera_file.depth_to_color if camera_file and aligned_to is None else None
     if camera and moved:
@@ -202,14 +212,7 @@ def frame_capture(
         remedy = "correct lens and 'depth_to_color' in the camera file"
         with wrap_reader_errors(depth_source, IntrinsicsError, remedy):
             depth_m = align_depth_to_color(
-                depth_m,
-                camera.matrix,
-                intrinsics.matrix,
-                intrinsics.size,
-                moved.rotation,
-                moved.translation_m,
-                depth_lens=(camera.distortion, camera.coefficients),
-                color_lens=(intrinsics.distortion, intrinsics.coefficients),
+                depth_m, camera, intrinsics, moved.rotation, moved.translation_m
             )
     else:
         if aligned_to is Stream.COLOR and _is_same_view(depth_m, width, height):
@@ -220,7 +223,7 @@ def frame_capture(
     return Capture(color, depth_m, intrinsics, source=str(source), doubts=doubts, **capture_fields)
 
 
-def _is_same_view(depth_m: NDArray[np.float32], width: int, height: int) -> bool:
+def _is_same_view(depth_m: Array32, width: int, height: int) -> bool:
     """Return whether depth has fewer pixels than colour, in the same proportion both ways."""
     across, down = width / depth_m.shape[1], height / depth_m.shape[0]
     return bool(across > 1 and abs(across / down - 1) <= _SAME_VIEW)
@@ -249,9 +252,7 @@ class CameraFinder:
 
     def __init__(self, folder: Folder) -> None:
         self._folder = folder
-        self._pictures = lru_cache(maxsize=None)(self._begins_of_pictures)
-        self._cameras = lru_cache(maxsize=None)(self._cameras_by_owner)
-        self._only = lru_cache(maxsize=None)(_only)
+        self._names, self._only = cache(self._begins_and_owners), cache(_only)
 
     def find(self, folder_path: str, picture: str = "") -> Path | None:
         """Return the file of a picture, or of a subfolder; None without one.
@@ -261,9 +262,9 @@ class CameraFinder:
         IntrinsicsError
             If several files could belong to the picture and differ.
         """
-        words, others = _stem_words(picture), self._pictures(folder_path)
+        words, others = _stem_words(picture), self._names(folder_path)[0]
         while True:
-            owners = self._cameras(folder_path)
+            owners = self._names(folder_path)[1]
             length = next((k for k in range(len(words), 0, -1) if words[:k] in owners), 0)
             shared = (name for owner in owners if owner not in others for name in owners[owner])
             names = tuple(sorted(owners[words[:length]] if length else shared))
@@ -274,20 +275,21 @@ class CameraFinder:
                 return file
             folder_path = folder_path.rpartition("/")[0]
 
-    def _begins_of_pictures(self, folder_path: str) -> set[tuple[str, ...]]:
-        """Return the words with which names of pictures begin."""
-        names = self._folder.files.get(folder_path, ())
-        pictures = (_stem_words(name) for name in names if name.lower().endswith(_PICTURES))
-        return {words[:k] for words in pictures for k in range(1, len(words) + 1)}
+    def _begins_and_owners(self, folder_path: str) -> tuple[set[_Words], dict[_Words, list[str]]]:
+        """Return the words with which a folder's images begin, and its intrinsics files by image.
 
-    def _cameras_by_owner(self, folder_path: str) -> dict[tuple[str, ...], list[str]]:
-        """Return the intrinsics files of a folder by the words that refer to certain pictures."""
-        owners: dict[tuple[str, ...], list[str]] = {}
+        A file belongs to the images that begin with its words, apart from those of a camera.
+        """
+        begins: set[_Words] = set()
+        owners: dict[_Words, list[str]] = {}
         for name in self._folder.files.get(folder_path, ()):
+            words = _stem_words(name)
+            if name.lower().endswith(_PICTURES):
+                begins |= {words[:k] for k in range(1, len(words) + 1)}
             if _CAMERA_NAME.fullmatch(name):
-                owner = tuple(w for w in _stem_words(name) if not _CAMERA_WORD.fullmatch(w))
+                owner = tuple(word for word in words if not _CAMERA_WORD.fullmatch(word))
                 owners.setdefault(owner, []).append(name)
-        return owners
+        return begins, owners
 
 
 def _only(folder: Path, names: tuple[str, ...]) -> Path | IntrinsicsError | None:
@@ -310,5 +312,5 @@ def _only(folder: Path, names: tuple[str, ...]) -> Path | IntrinsicsError | None
     return folder / next(iter(cameras), names[0])
 
 
-def _stem_words(name: str) -> tuple[str, ...]:
+def _stem_words(name: str) -> _Words:
     return tuple(re.findall(r"[^\W_]+", name.rpartition(".")[0].casefold()))

@@ -12,14 +12,15 @@ import numpy as np
 from pydantic import AfterValidator, Field
 
 from cucumbervision.capture.camera_file import CameraModel, StrictModel
-from cucumbervision.capture.depth import depth_to_metres, require_readings
 from cucumbervision.capture.frames import Capture, FusedBurst, Stop, depth_along_axis, fuse_burst
 from cucumbervision.capture.intrinsics import MASKS, DepthAlong
 from cucumbervision.capture.pictures import (
     MOST_BURST_PIXELS,
+    depth_to_metres,
     read_color,
     read_depth,
     read_masks,
+    require_readings,
     write_png,
 )
 from cucumbervision.capture.readers.common import choose_intrinsics, require_same_size
@@ -30,8 +31,7 @@ from cucumbervision.files import json_value, parse_model, read_json, write_bytes
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from numpy.typing import NDArray
-
+    from cucumbervision.arrays import Array, Array32, Pixels
     from cucumbervision.capture.camera_file import CameraFile
     from cucumbervision.capture.source import CaptureEntry, CaptureLister, Folder, ReadOptions
 
@@ -131,35 +131,31 @@ class _Files:
         folder, manifest, options = self.folder, self.manifest, self.options
         unit_m = options.depth_unit_m or manifest.depth_unit_m
         options = options.with_camera(self.camera_file)
-        frames, pixels = [], 0
+        frames = []
         for frame in manifest.frames:
-            frames.append(_read_frame(folder, frame, unit_m))
-            pixels += frames[-1][1].size
-            if pixels > MOST_BURST_PIXELS:
+            color, raw = read_color(folder / frame.color), read_depth(folder / frame.depth)
+            require_same_size(color, raw, source=folder / frame.depth)
+            if raw.size * len(manifest.frames) > MOST_BURST_PIXELS:
                 most = f"{MOST_BURST_PIXELS / 1e6:g} million pixels"
                 fault, remedy = f"its frames have more than {most} together", "give shorter bursts"
                 raise CaptureError(fault, source=folder / MANIFEST, remedy=remedy)
-        if len(frames) == 1:
-            # Depth of a single frame is not fused, so that reading returns what was written.
-            fused = FusedBurst(*frames[0], manifest.burst_frame, manifest.burst_size)
-        else:
+            frames.append((color, depth_to_metres(raw, unit_m, source=folder / frame.depth)))
+        # Depth of a single frame is not fused, so that reading returns what was written.
+        fused, number = FusedBurst(*frames[0], manifest.burst_frame, manifest.burst_size), 0
+        if len(frames) > 1:
             with as_errors_of(folder):
-                fused = fuse_burst([c for c, _ in frames], [d for _, d in frames])
+                fused = fuse_burst(*zip(*frames, strict=True))
+            number = fused.burst_frame
         height, width = fused.depth_m.shape
-        with as_errors_of(folder / MANIFEST):
-            frame_intrinsics = manifest.camera.intrinsics
+        path, aligned_to = folder / MANIFEST, options.aligned_to
+        with as_errors_of(path):
+            own = manifest.camera.intrinsics
         intrinsics = choose_intrinsics(
-            frame_intrinsics,
-            self.camera_file,
-            width,
-            height,
-            aligned_to=options.aligned_to,
-            source=folder / MANIFEST,
+            own, self.camera_file, width, height, aligned_to=aligned_to, source=path
         )
         if options.depth_along is DepthAlong.RAY:
             fused = replace(fused, depth_m=depth_along_axis(fused.depth_m, intrinsics))
         require_readings(fused.depth_m, source=folder)
-        frame_entry = manifest.frames[fused.burst_frame if len(frames) > 1 else 0]
         return Capture(
             **vars(fused),
             intrinsics=intrinsics,
@@ -167,21 +163,12 @@ class _Files:
             frame=manifest.frame,
             masks=read_masks(_masks(folder, manifest.frame), fused.color.shape),
             stop=Stop(**manifest.stop.model_dump()),
-            timestamp_s=frame_entry.timestamp_s,
+            timestamp_s=manifest.frames[number].timestamp_s,
             simulated=manifest.simulated,
             source=str(folder),
             provenance=manifest.provenance,
             gravity=manifest.gravity,
         )
-
-
-def _read_frame(
-    folder: Path, frame: _Frame, unit_m: float
-) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-    color_path, depth_path = folder / frame.color, folder / frame.depth
-    color, raw = read_color(color_path), read_depth(depth_path)
-    require_same_size(color, raw, source=depth_path)
-    return color, depth_to_metres(raw, unit_m, source=depth_path)
 
 
 def _masks(folder: Path, frame: int) -> list[Path]:
@@ -207,7 +194,7 @@ def write_native(
     capture: Capture,
     folder: Path,
     *,
-    burst: Sequence[tuple[NDArray[np.uint8], NDArray[np.float32]]] = (),
+    burst: Sequence[tuple[Pixels, Array32]] = (),
     timestamps_s: Sequence[float | None] = (),
 ) -> Path:
     """Write a capture as a native folder without loss.
@@ -292,7 +279,7 @@ def write_native(
     return folder / MANIFEST
 
 
-def _choose_unit(depths_m: Sequence[NDArray[np.float32]], folder: Path) -> tuple[float, float]:
+def _choose_unit(depths_m: Sequence[Array32], folder: Path) -> tuple[float, float]:
     readings = np.unique(np.concatenate([d[np.isfinite(d) & (d > 0)].ravel() for d in depths_m]))
     far_m = float(readings.max(initial=0.0))
     unit_m, rounding_m = 0.0, 0.0
@@ -312,6 +299,6 @@ def _choose_unit(depths_m: Sequence[NDArray[np.float32]], folder: Path) -> tuple
     return unit_m, round(rounding_m, 6)
 
 
-def _steps(depth_m: NDArray[np.float32], unit_m: float) -> NDArray[np.float64]:
+def _steps(depth_m: Array32, unit_m: float) -> Array:
     finite = np.where(np.isfinite(depth_m) & (depth_m > 0), depth_m, 0)
     return np.rint(finite.astype(np.float64) / unit_m)

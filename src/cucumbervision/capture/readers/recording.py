@@ -73,10 +73,16 @@ def _refs(
     path: Path, burst: int, intrinsics: Intrinsics, capture_fields: dict[str, Any]
 ) -> Iterator[CaptureRef]:
     name = safe_name(path.stem)
-    fault, any_frame = None, False
+    fault: CaptureError | None = None
+    any_frame = False
     with RealSenseCamera(CameraConfig(playback=path, warm_up=0)) as stream:
         while fault is None:
-            frames, fault = _next_burst(stream, burst)
+            frames: list[AlignedFrame] = []
+            try:
+                stream.read_burst(frames, burst)
+            except CaptureError as error:
+                # Without the traceback, which would keep the pipeline alive.
+                fault = error.with_traceback(None)
             if not frames:
                 break
             any_frame, number = True, frames[0].number
@@ -86,29 +92,8 @@ def _refs(
             )
             yield CaptureRef(capture_name, number, load, place)
     if fault is None and not any_frame:
-        fault = CaptureError(
-            "has no frame with both colour and depth",
-            source=path,
-            remedy="record both streams at one rate",
-        )
+        words, remedy = "has no frame with both colour and depth", "record both streams at one rate"
+        fault = CaptureError(words, source=path, remedy=remedy)
     if fault is not None:
         # Captures before a fault are complete; the fault is reported as a failing capture.
         yield CaptureRef(f"{name}_end", -1, partial(fail, fault))
-
-
-def _next_burst(
-    stream: RealSenseCamera, burst: int
-) -> tuple[list[AlignedFrame], CaptureError | None]:
-    frames: list[AlignedFrame] = []
-    while len(frames) < burst:
-        try:
-            frame = stream.read()
-        except CaptureError as fault:
-            # Drop the traceback, because it would keep the pipeline alive.
-            return frames, fault.with_traceback(None)
-        if frame is None:
-            break
-        # A slower colour stream is repeated with each new depth frame.
-        if not frames or frame.number != frames[-1].number:
-            frames.append(frame)
-    return frames, None

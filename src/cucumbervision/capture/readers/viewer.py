@@ -17,7 +17,13 @@ from cucumbervision.capture.intrinsics import Intrinsics, Stream
 from cucumbervision.capture.pictures import read_color
 from cucumbervision.capture.readers.common import CameraFinder, frame_capture
 from cucumbervision.capture.source import fail
-from cucumbervision.errors import CaptureError, DepthError, IntrinsicsError
+from cucumbervision.errors import (
+    CaptureError,
+    DepthError,
+    IntrinsicsError,
+    as_errors_of,
+    wrap_reader_errors,
+)
 from cucumbervision.files import read_bytes
 
 if TYPE_CHECKING:
@@ -162,19 +168,12 @@ def _read_metadata(path: Path, stream: Stream) -> _Table:
     lines = read_bytes(path).decode("utf-8", errors="replace").splitlines()
     fields = [line.split(",", 1) for line in lines if "," in line]
     values = {key.strip().lower(): value.strip() for key, value in fields}
-    try:
+    with as_errors_of(path), wrap_reader_errors(path, CaptureError, "export it again"):
         width, height = (int(values[f"resolution {axis}"]) for axis in "xy")
-        fx, fy, cx, cy = (float(values[key]) for key in ("fx", "fy", "ppx", "ppy"))
-        intrinsics = Intrinsics(width, height, fx, fy, cx, cy, stream)
+        pinhole = (float(values[key]) for key in ("fx", "fy", "ppx", "ppy"))
+        intrinsics = Intrinsics(width, height, *pinhole, stream)
         milliseconds = float(values.get("timestamp (ms)", "nan"))
         number = int(values.get("frame number", "0"))
-    except (KeyError, ValueError) as error:
-        what = f"has no '{error.args[0]}'" if isinstance(error, KeyError) else "holds no number"
-        raise CaptureError(
-            f"is not a table of RealSense Viewer: it {what}", source=path, remedy="export it again"
-        ) from None
-    except IntrinsicsError as error:
-        raise IntrinsicsError(error.message, source=path, remedy="export it again") from None
     # A hardware clock starts with the camera, not at the epoch.
     time_s = milliseconds / 1000 if milliseconds > _YEAR_2001_MS else None
     return _Table(intrinsics, values.get("format", ""), number, time_s)

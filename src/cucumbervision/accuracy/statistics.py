@@ -182,7 +182,8 @@ def estimate(
         order = np.argsort(data, kind="stable")
         data, member = data[order], member[order]
         drawn = np.array([_weighted_quantile(data, w[member], quantile) for w in weights])
-    return Estimate(value, *np.percentile(drawn, [2.5, 97.5]).tolist(), len(data), len(index))
+    low, high = np.percentile(drawn, [2.5, 97.5]).tolist()
+    return Estimate(value, low, high, len(data), len(index))
 
 
 def share(hits: ArrayLike, groups: Sequence[Hashable]) -> Estimate:

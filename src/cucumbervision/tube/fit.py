@@ -403,14 +403,14 @@ def guess_shape(points_m: Array, level: Mask | None = None) -> TubeShape:
     norm = float(np.linalg.norm(side))
     across = np.abs(residual[inliers] @ side) / norm if norm > 0.05 else distance[inliers]
     radius = 2.0 * quick_median(across)
-    t = _inner(*np.quantile(along[inliers], [0.002, 0.998]), radius)
+    t = _inner(np.quantile(along[inliers], [0.002, 0.998]), radius)
     return _tube_behind(centroid + t[:, None] * axis + _powers(t) @ bow, radius)
 
 
-def _inner(start: float, stop: float, radius: float) -> Array:
-    """Return positions along a body, without a radius at each end."""
-    short = min(radius, 0.4 * (stop - start))
-    return np.linspace(start + short, stop - short, 33)
+def _inner(ends: Array, radius: float) -> Array:
+    """Return positions between two, without a radius at each end."""
+    short = min(radius, 0.4 * float(np.ptp(ends)))
+    return np.linspace(ends[0] + short, ends[1] - short, 33)
 
 
 def _powers(t: Array) -> Array:
@@ -469,7 +469,7 @@ def guess_from_picture(
     else:
         columns, scale = terms[:, ::-1], 1 / float(np.median(inverse_depth)) ** 2
         plane = robust_plane(columns, inverse_depth, scale, _LEAST_OFF_M)[0][::-1]
-    t = _inner(*np.quantile(along, [0.005, 0.995]), half)
+    t = _inner(np.quantile(along, [0.005, 0.995]), half)
     powers = _powers(t)
     line = middle + t[:, None] * axes[:, 1] + (powers @ bow)[:, None] * axes[:, 0]
     usual = float(np.median(inverse_depth))
@@ -530,7 +530,7 @@ def guess_from_midline(picture: Array, mask: Mask, depth_m: Array) -> TubeShape 
         line.append(int(before[line[-1]]))
     half = float(np.median(inside[line]))
     along = arc_positions(points[line])
-    positions = _inner(0.0, along[-1], half)
+    positions = _inner(along[[0, -1]], half)
     path = np.stack([np.interp(positions, along, points[line][:, k]) for k in (0, 1)], axis=1)
     neighbours = _nearest(cKDTree(picture[readable]), path, _LEAST_MIDLINE)[1]
     line_depth_m = np.median(depth_m[readable][neighbours], axis=1)

@@ -281,14 +281,14 @@ def _true_length(number: int, cells: Mapping[str, str], columns: Sequence[str]) 
     elif not lengths_cm:
         fault, remedy = "has no length", "fill it or drop the line"
     else:
+        place = f"{fruit:g}" if fruit else f"{MISSED} line {number}"
         return TrueLength(
             line=number,
             capture=normalize("NFC", cells["capture"]),
-            fruit=fruit and int(fruit),
+            fruit=int(fruit) if fruit else None,
             kind=LengthDefinition(kind),
             lengths_m=tuple(length_cm / 100 for length_cm in lengths_cm.values()),
-            specimen=cells.get("specimen")
-            or f"{cells['capture']} {(fruit and int(fruit)) or f'{MISSED} line {number}'}",
+            specimen=cells.get("specimen") or f"{cells['capture']} {place}",
         )
     raise TruthError(f"line {number}: {fault}", remedy=remedy)
 

@@ -197,13 +197,13 @@ class GradingTraits:
         """
         kinds: dict[str, Any] = {str(kind): kind for kind in (*LengthKind, *LengthDefinition)}
         kind, interval_of = (kinds.get(str(row.get(x))) for x in ("length_kind", "interval_of"))
-        value_m, *interval_m = (
-            _number(row, f"{x}_cm", 100) for x in ("length", "interval_low", "interval_high")
-        )
-        is_known = value_m is not None and kind is not None
+        length = None
+        if (value_m := _number(row, "length_cm", 100)) is not None and kind is not None:
+            low_m, high_m = (_number(row, f"interval_{end}_cm", 100) for end in ("low", "high"))
+            length = Length(value_m, kind, low_m, high_m, interval_of)
         return cls(
             *(_number(row, f"{name}_cm", 100) for name in ("thread", "centreline", "chord")),
-            length=Length(value_m, kind, *interval_m, interval_of) if is_known else None,
+            length=length,
             inner_arc_mm_per_10cm=_number(row, "inner_arc_mm_per_10cm"),
             diameter_max_m=_number(row, "diameter_max_mm", 1000),
             volume_m3=_number(row, "volume_ml", 1e6),
@@ -332,11 +332,11 @@ def grade(fruit: Any, profile: CropProfile) -> Grade:
     length_cm = round(100 * length.value_m, 6) if length else 0.0
     is_possible = profile.acceptance.min_cm <= length_cm <= profile.acceptance.max_cm
     if length is None:
-        missing = (f"{profile.length} length: no tube could be fitted, or it was not measured",)
+        words = f"{profile.length} length: no tube could be fitted, or it was not measured"
         is_measured = fruit.length is not None
         name = UNDECIDED if is_measured else NOT_MEASURED
         reason = f"no {profile.length} length" if is_measured else ""
-        ungraded = Grade(GradeStatus.MISSING, name, (), {}, missing, reason=reason)
+        ungraded = Grade(GradeStatus.MISSING, name, (), {}, (words,), reason=reason)
         return replace(ungraded, mass_g=mass_g, possible=profile.outcomes)
     if not is_possible:
         rules, reason = (_refusal(length_cm, profile),), "such a length cannot be"

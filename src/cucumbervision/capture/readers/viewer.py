@@ -170,8 +170,8 @@ def _read_metadata(path: Path, stream: Stream) -> _Table:
     values = {key.strip().lower(): value.strip() for key, value in fields}
     with as_errors_of(path), wrap_reader_errors(path, CaptureError, "export it again"):
         width, height = (int(values[f"resolution {axis}"]) for axis in "xy")
-        pinhole = (float(values[key]) for key in ("fx", "fy", "ppx", "ppy"))
-        intrinsics = Intrinsics(width, height, *pinhole, stream)
+        fx, fy, cx, cy = (float(values[key]) for key in ("fx", "fy", "ppx", "ppy"))
+        intrinsics = Intrinsics(width, height, fx, fy, cx, cy, stream)
         milliseconds = float(values.get("timestamp (ms)", "nan"))
         number = int(values.get("frame number", "0"))
     # A hardware clock starts with the camera, not at the epoch.

@@ -202,7 +202,9 @@ class GradingTraits:
             low_m, high_m = (_number(row, f"interval_{end}_cm", 100) for end in ("low", "high"))
             length = Length(value_m, kind, low_m, high_m, interval_of)
         return cls(
-            *(_number(row, f"{name}_cm", 100) for name in ("thread", "centreline", "chord")),
+            thread_m=_number(row, "thread_cm", 100),
+            centreline_m=_number(row, "centreline_cm", 100),
+            chord_m=_number(row, "chord_cm", 100),
             length=length,
             inner_arc_mm_per_10cm=_number(row, "inner_arc_mm_per_10cm"),
             diameter_max_m=_number(row, "diameter_max_mm", 1000),

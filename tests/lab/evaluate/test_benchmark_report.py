@@ -35,7 +35,7 @@ def row(case: str, lengths_m: Mapping[str, float | None], **changes: Any) -> Row
 
 
 def cells(table: ReportTable, name: str) -> dict[str, Any]:
-    heads = [column.head for column in table.columns]
+    heads = table.heads
     return next(dict(zip(heads, line, strict=True)) for line in table.rows if line[0] == name)
 
 
@@ -95,7 +95,7 @@ def test_groups_by_hand() -> None:
             row("c", {"M1": 0.16, "M6": 0.18}, bend_radius_m=0.3),
         ]
     )
-    assert [column.head for column in table.columns] == [
+    assert table.heads == [
         *("radius of the bend (cm)", "captures", "fruit", "M1 MAPE (%)", "M6 MAPE (%)"),
         *("M6 median (%)", "M6 worst (%)", "M6 measured (%)"),
     ]
@@ -109,7 +109,7 @@ def test_groups_by_hand() -> None:
 def test_fruit_that_m6_flags_are_a_group_of_their_own() -> None:
     rows = [row(f"c{k}", {"M6": 0.2}, m6_flags=f) for k, f in enumerate([[], [], ["end-hidden"]])]
     table = grouped([*rows, row("c3", {"M6": None})])
-    assert table.columns[0].head == "M6's flags"
+    assert table.heads[0] == "M6's flags"
     assert [line[:2] for line in table.rows] == [("none", 2), ("some, or not measured", 2)]
 
 

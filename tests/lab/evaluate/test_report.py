@@ -55,7 +55,7 @@ def test_swapped_ends_have_no_distance_and_are_counted() -> None:
         for k, one in enumerate([swapped, right, right, right])
     ]
     table = pose_table(pd.DataFrame(rows))
-    line = dict(zip([c.head for c in table.columns], table.rows[0], strict=True))
+    line = dict(zip(table.heads, table.rows[0], strict=True))
     assert (line["fruit"], line["n"], line["swapped (%)"]) == ("perceived", 4, 25.0)
     assert line["stem end median (mm)"] == pytest.approx(3.0)
 

@@ -161,10 +161,7 @@ def test_average_precision_and_recall(result: DetectionResult, scene: DrawnFruit
 def tables_of(result: DetectionResult) -> dict[str, dict[Cell, dict[str, Cell]]]:
     """Give the tables' rows by title and first cell, each by the columns' heads."""
     return {
-        table.title: {
-            row[0]: dict(zip([c.head for c in table.columns], row, strict=True))
-            for row in table.rows
-        }
+        table.title: {row[0]: dict(zip(table.heads, row, strict=True)) for row in table.rows}
         for table in detection_tables(result)
     }
 

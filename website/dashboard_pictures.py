@@ -32,7 +32,7 @@ FLAGS = (
 PAGES = {
     "today": ("", "Pick list"),
     "capture": ("capture", "Depth seen"),
-    "map": ("map", "One mark per fruit"),
+    "map": ("map", "true size"),
     "results": ("results", "tap one to open it"),
 }
 ON_PHONE = ("capture",)  # in both themes, side by side

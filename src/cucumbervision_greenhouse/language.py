@@ -230,19 +230,6 @@ def moment_words(moment: datetime) -> str:
     return _date(moment, "dd MMM y HH:mm")
 
 
-def date_names() -> tuple[list[str], list[str]]:
-    """Return the short names of the weekdays, from Sunday, and of the months, from January.
-
-    Examples
-    --------
-    >>> weekdays, months = date_names()
-    >>> weekdays[0], months[11]
-    ('Sun', 'Dec')
-    """
-    weekdays = [_date(date(2023, 1, number), "EEE") for number in range(1, 8)]
-    return weekdays, [_date(date(2023, number, 1), "MMM") for number in range(1, 13)]
-
-
 def _date(moment: date, pattern: str) -> str:
     from babel.dates import format_date, format_datetime
 

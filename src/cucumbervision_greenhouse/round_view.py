@@ -148,6 +148,14 @@ class RoundView:
         return [fruit for fruit in self.best if fruit.verdict is not Verdict.REJECTED]
 
     @cached_property
+    def shaped(self) -> Sequence[FruitRow]:
+        """The fruit without deleted ones, with their paths."""
+        shapes = {view.key: view for view in store().detections(self.key, shapes=True)}
+        return [
+            fruit.with_(**shapes[fruit.key].shape) for fruit in self.fruit if fruit.key in shapes
+        ]
+
+    @cached_property
     def deleted(self) -> Sequence[FruitRow]:
         """Deleted fruit, which no figure counts."""
         return [fruit for fruit in self.best if fruit.verdict is Verdict.REJECTED]

@@ -22,9 +22,8 @@ GREENHOUSE = ROOT / "src/cucumbervision_greenhouse"
 MARKING = {"_", "ngettext", "counted", "marked"}
 # Words for people begin with a capital, or are several; anything else is a key, a name or a style.
 TEXT = re.compile(r"^\W*[A-Z][a-z]+\b(?!:)|[a-z] [a-z]+ [a-z]")
-LOGIC = {"fruit_cloud"}
-SHARED = ("fruit_pictures", "jobs", "round_view", "tasks")
-DRAWN = [path for path in sorted((GREENHOUSE / "pages").glob("*.py")) if path.stem not in LOGIC]
+SHARED = ("fruit_pictures", "row_drawing", "jobs", "round_view", "tasks")
+DRAWN = sorted((GREENHOUSE / "pages").glob("*.py"))
 DRAWN += [GREENHOUSE / f"{name}.py" for name in SHARED]
 
 

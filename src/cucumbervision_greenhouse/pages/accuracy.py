@@ -77,8 +77,7 @@ def _own_fruit(round_key: str, fruit: list[FruitRow]) -> None:
 def _table(fruit: list[FruitRow], path: Path) -> None:
     units = resources.settings().units
     saved = hand_lengths(path, fruit)
-    page_elements.choose_page(fruit, "hand_page", _LINES)
-    page_fruit = page_elements.page_of(fruit, "hand_page", _LINES)
+    page_fruit = page_elements.first_of(fruit, "hand_page", _LINES)
     kind = st.segmented_control(
         _("Measured by hand"),
         list(LengthDefinition),
@@ -102,6 +101,7 @@ def _table(fruit: list[FruitRow], path: Path) -> None:
         default={"typed": {}},
         on_typed_change=lambda: typed.update(st.session_state[key].typed or {}),
     )
+    page_elements.draw_more(fruit, "hand_page", _LINES)
     bad = _read(typed, saved)
     if bad:
         words = _("{typed}: no length between {least} and {most}.")

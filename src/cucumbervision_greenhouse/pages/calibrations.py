@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from datetime import datetime
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import streamlit as st
 
@@ -66,38 +67,39 @@ def draw_grid(round_key: str) -> None:
 
 def _make(label: str, calibrate: Callable[[], SiteCalibration]) -> None:
     """Draw a button that makes a calibration and saves it; then what it does, and 'Use it now'."""
-    made = f"made: {label}"
-    if st.button(label, icon=":material/target:", width="stretch"):
-        st.session_state.pop(made, None)
-        try:
-            st.session_state[made] = str(
-                save_calibration(truth_folder(resources.where()), calibrate())
-            )
-        except (CucumberVisionError, ValueError) as error:
-            st.error(sentence(error), icon=":material/error:")
-    path = st.session_state.get(made)
-    for calibration in saved_calibrations(truth_folder(resources.where())):
-        if str(calibration.path) == path:
-            _draw(calibration, key=made)
+    if not st.button(label, icon=":material/target:", width="stretch"):
+        return
+    try:
+        site = calibrate()
+        path = save_calibration(truth_folder(resources.where()), site)
+    except (CucumberVisionError, ValueError) as error:
+        st.error(sentence(error), icon=":material/error:")
+        return
+    st.success(plain(f"{site.name}: {_effect(site)}"))
+    use = partial(resources.change_settings, calibration=str(path))
+    page_elements.button(st, _("Use it now"), "check", use)
 
 
 def draw_choice() -> None:
-    """Draw all calibrations with what each does; one tap uses one, one more goes back."""
-    settings = resources.settings()
-    saved = saved_calibrations(truth_folder(resources.where()), settings.calibration)
-    in_use = next((x for x in saved if _is_used(x)), None)
+    """Draw all calibrations with what each does, to choose from."""
+    chosen = resources.settings().calibration
+    saved = saved_calibrations(truth_folder(resources.where()), chosen)
     if not saved:
         st.caption(_("No calibration yet: lengths are as the camera gives them."))
         return
-    before = st.session_state.get("calibration_before")
-    if in_use is not None or before is not None:
-        title = _("none") if in_use is None else in_use.title
-        says, undo = st.columns([3, 2], vertical_alignment="center")
-        says.markdown(_("**In use: {name}**").format(name=plain(title)))
-        label = _("Use none") if before is None else _("Back to the one before")
-        page_elements.button(undo, label, "undo", _use, before or "")
-    for calibration in saved:
-        _draw(calibration, key=str(calibration.path))
+    titles, effects = {"": _("none")}, [_("Lengths are as the camera gives them.")]
+    for path, site in saved.items():
+        is_read = isinstance(site, SiteCalibration)
+        titles[path] = f"{site.name}, {site.created[:10]}" if is_read else Path(path).name
+        effects.append(plain(_effect(site)) if is_read else sentence(site))
+    page_elements.setting(
+        "calibration",
+        st.radio,
+        _("Calibration in use"),
+        list(titles),
+        format_func=lambda path: plain(titles.get(path, path)),
+        captions=effects,
+    )
     st.caption(
         _(
             "A calibration counts for what is measured from now on, captures that wait included; "
@@ -106,49 +108,12 @@ def draw_choice() -> None:
     )
 
 
-def _draw(calibration: SavedCalibration, key: str) -> None:
-    """Draw a calibration: its name and day, what it does, and the button that uses it."""
+def _effect(site: SiteCalibration) -> str:
     settings = resources.settings()
-    with st.container(border=True):
-        says, use = st.columns([3, 1], vertical_alignment="center")
-        says.markdown(f"**{plain(calibration.title)}**")
-        if calibration.site is None:
-            says.warning(sentence(calibration.fault), icon=":material/error:")
-            return
-        says.caption(plain(effect_words(calibration.site, settings.length, settings.units)))
-        path = str(calibration.path)
-        is_used = _is_used(calibration)
-        label = _("In use") if is_used else _("Use it now")
-        page_elements.button(use, label, "check", _use, path, disabled=is_used, key=f"use {key}")
-
-
-def _is_used(calibration: SavedCalibration) -> bool:
-    chosen = resources.settings().calibration
-    return bool(chosen) and calibration.path == Path(chosen)
-
-
-def _use(path: str) -> None:
-    """Use a calibration, or none, and remember the one that it replaces."""
-    st.session_state["calibration_before"] = resources.settings().calibration
-    resources.change_settings(calibration=path)
+    return effect_words(site, settings.length, settings.units)
 
 
 _SUFFIX = ".calibration.json"
-
-
-class SavedCalibration(NamedTuple):
-    """A calibration file: its content, or None and why it cannot be read."""
-
-    path: Path
-    site: SiteCalibration | None
-    fault: str = ""
-
-    @property
-    def title(self) -> str:
-        """Name and day of the calibration, or the file's name."""
-        if self.site is None:
-            return self.path.name
-        return f"{self.site.name}, {self.site.created[:10]}"
 
 
 def save_calibration(folder: Path, site: SiteCalibration) -> Path:
@@ -168,18 +133,18 @@ def save_calibration(folder: Path, site: SiteCalibration) -> Path:
     return path
 
 
-def saved_calibrations(folder: Path, chosen: str = "") -> list[SavedCalibration]:
-    """Return the calibrations of a folder, the newest first, and the chosen one wherever it is."""
-    paths = {*folder.glob(f"*{_SUFFIX}"), *([Path(chosen)] if chosen else [])}
-    saved = map(_saved, sorted(paths))
-    return sorted(saved, key=lambda x: x.site.created if x.site else "", reverse=True)
-
-
-def _saved(path: Path) -> SavedCalibration:
-    try:
-        return SavedCalibration(path, read_site_calibration(path))
-    except CucumberVisionError as error:
-        return SavedCalibration(path, None, str(error))
+def saved_calibrations(
+    folder: Path, chosen: str = ""
+) -> dict[str, SiteCalibration | CucumberVisionError]:
+    """Return the calibrations of a folder by path, newest first, and the chosen one; or errors."""
+    saved: dict[str, SiteCalibration | CucumberVisionError] = {}
+    for path in sorted({*map(str, folder.glob(f"*{_SUFFIX}")), *filter(None, [chosen])}):
+        try:
+            saved[path] = read_site_calibration(Path(path))
+        except CucumberVisionError as error:
+            saved[path] = error
+    created = {path: getattr(site, "created", "") for path, site in saved.items()}
+    return {path: saved[path] for path in sorted(saved, key=created.__getitem__, reverse=True)}
 
 
 def effect_words(site: SiteCalibration, length: LengthDefinition, units: Units) -> str:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections import Counter
-from datetime import date, datetime
+from datetime import date, timedelta
 from typing import TYPE_CHECKING, Any
 
 import altair as alt
@@ -18,7 +17,7 @@ from cucumbervision.crop.grades import class_name
 from cucumbervision_greenhouse import words as texts
 from cucumbervision_greenhouse.forecast.picking import Span
 from cucumbervision_greenhouse.fruit_pictures import CLASS_GREENS, OTHER_COLORS
-from cucumbervision_greenhouse.language import date_names, day_month_words
+from cucumbervision_greenhouse.language import day_month_words
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.theme import ink
 
@@ -32,7 +31,6 @@ if TYPE_CHECKING:
 # reports faults itself.
 disable_debug_mode()
 
-_WEEKDAYS = 14  # days that have room for their weekday
 _MANY = 40  # number of fruit from which narrow bars are informative
 
 
@@ -59,9 +57,25 @@ def _ink() -> str:
     return ink(st.context.theme.type)
 
 
-def _color_of_class(names: Iterable[str]) -> alt.Color:
+def _bars(lines: list[dict[str, Any]], y: Any, **encoding: Any) -> alt.Chart:
+    """Return bars in the colours of the classes, which `lines` name by their labels."""
+    names = [line["class"] for line in lines]
+    table = [{**line, "class": texts.label_words(line["class"])} for line in lines]
     below = alt.Legend(orient="bottom", columns=3)  # where a phone has space for it
-    return alt.Color("class:N", scale=_class_colors(names), title=None, legend=below)
+    color = alt.Color("class:N", scale=_class_colors(names), title=None, legend=below)
+    return _chart(table).mark_bar(stroke="white").encode(y=y, color=color, **encoding)
+
+
+def _counted(name: str) -> alt.Y:
+    return alt.Y(f"{name}:Q", title=_("Fruit"), axis=alt.Axis(tickMinStep=1, format="d"))
+
+
+def _days(name: str, days: Iterable[date]) -> alt.X:
+    """Return an axis of all days between some, in the language that is shown."""
+    first, last = min(days), max(days)
+    words = [day_month_words(first + timedelta(k)) for k in range((last - first).days + 1)]
+    axis = alt.Axis(labelOverlap=True, labelAngle=0)
+    return alt.X(f"{name}:O", title=None, scale=alt.Scale(domain=words), axis=axis)
 
 
 def _tips(**titles: str) -> list[alt.Tooltip]:
@@ -75,10 +89,8 @@ def _chart(lines: list[dict[str, Any]]) -> alt.Chart:
 
 def _readable(chart: Any, height_px: int) -> Any:
     """Return a chart with its words in the colour of the page's text, to be read in the sun."""
-    color = _ink()
-    chart = chart.properties(height=height_px)
-    chart = chart.configure_axis(labelColor=color, titleColor=color)
-    return chart.configure_legend(labelColor=color)
+    color = {"labelColor": _ink(), "titleColor": _ink()}
+    return chart.properties(height=height_px).configure_axis(**color).configure_legend(**color)
 
 
 def histogram(lines: list[dict[str, Any]], units: Units) -> Any:
@@ -89,21 +101,13 @@ def histogram(lines: list[dict[str, Any]], units: Units) -> Any:
     # Counted here, so that the browser gets a few dozen bars whatever the number of fruit.
     counted = Counter((math.floor(line["length"] / step), line["class"]) for line in lines)
     table = [
-        {"from": k * step, "to": (k + 1) * step, "class": texts.label_words(name), "fruit": number}
+        {"from": k * step, "to": (k + 1) * step, "class": name, "fruit": number}
         for (k, name), number in sorted(counted.items())
     ]
     title, scale = _("Length [{unit}]").format(unit=units.name), alt.Scale(zero=False)
-    bars = (
-        _chart(table)
-        .mark_bar(stroke="white")
-        .encode(
-            x=alt.X("from:Q", bin="binned", title=title, scale=scale),
-            x2="to:Q",
-            y=alt.Y("fruit:Q", title=_("Fruit"), axis=alt.Axis(tickMinStep=1, format="d")),
-            color=_color_of_class(x["class"] for x in lines),
-            tooltip=_tips(**{"fruit": _("Fruit"), "class": _("Class")}),
-        )
-    )
+    x = alt.X("from:Q", bin="binned", title=title, scale=scale)
+    tips = _tips(**{"fruit": _("Fruit"), "class": _("Class")})
+    bars = _bars(table, _counted("fruit"), x=x, x2="to:Q", tooltip=tips)
     spread = _chart([{"low": mean - sd, "high": mean + sd, "mean": mean}])
     band = spread.mark_rect(opacity=0.12, color=_ink()).encode(x="low:Q", x2="high:Q")
     line = spread.mark_rule(color=_ink(), strokeWidth=2).encode(x="mean:Q")
@@ -112,26 +116,22 @@ def histogram(lines: list[dict[str, Any]], units: Units) -> Any:
 
 def forecast_chart(prediction: Forecast) -> Any:
     """Return the expected number in each class on each day, with its interval."""
-    drawn, house = texts.expected_classes(prediction), prediction.house
-    labels = {k: texts.class_words(prediction.classes[k]) for k in drawn}
-    lines = []
+    drawn, house, lines = texts.expected_classes(prediction), prediction.house, []
+    labels = {k: class_name(prediction.classes[k]) for k in drawn}
     for day in prediction.days.tolist():
         for k in drawn:
             span = Span(*(float(x[day, k]) for x in (house.expected, house.low, house.high)))
             words = {"day": texts.forecast_day(prediction, day), "class": labels[k]}
             lines.append({**words, **vars(span), "likely": texts.span_words(span)})
     axis = alt.Axis(labelAngle=0, labelOverlap=True)
-    base = _chart(lines).encode(
-        x=alt.X("day:O", title=_("Day"), sort=None, axis=axis),
-        xOffset=alt.XOffset("class:N", sort=list(labels.values())),
-    )
-    bars = base.mark_bar().encode(
-        y=alt.Y("expected:Q", title=_("Fruit")),
-        color=_color_of_class(class_name(prediction.classes[k]) for k in drawn),
-        tooltip=_tips(**{"day": _("Day"), "class": _("Class"), "likely": _("Expected")}),
-    )
-    whiskers = base.mark_rule(strokeWidth=2, color=_ink()).encode(y="low:Q", y2="high:Q")
-    return _readable(bars + whiskers, 320)
+    place = {
+        "x": alt.X("day:O", title=_("Day"), sort=None, axis=axis),
+        "xOffset": alt.XOffset("class:N", sort=[texts.label_words(x) for x in labels.values()]),
+    }
+    tips = _tips(**{"day": _("Day"), "class": _("Class"), "likely": _("Expected")})
+    bars = _bars(lines, alt.Y("expected:Q", title=_("Fruit")), tooltip=tips, **place)
+    whiskers = alt.Chart(bars.data).mark_rule(strokeWidth=2, color=_ink())
+    return _readable(bars + whiskers.encode(y="low:Q", y2="high:Q", **place), 320)
 
 
 def trend_chart(lines: list[dict[str, Any]]) -> Any:
@@ -142,37 +142,10 @@ def trend_chart(lines: list[dict[str, Any]]) -> Any:
     lines : list of dict
         'day' (ISO 8601), 'class' and 'fruit'.
     """
-    table = [
-        {
-            # Browsers read a date alone as one in UTC.
-            "day": f"{line['day']}T00:00",
-            "when": day_month_words(date.fromisoformat(line["day"])),
-            "class": texts.label_words(line["class"]),
-            "fruit": line["fruit"],
-        }
-        for line in lines
-    ]
-    axis = _day_axis(weekday=len({line["day"] for line in lines}) <= _WEEKDAYS)
-    bars = (
-        _chart(table)
-        .mark_bar()
-        .encode(
-            x=alt.X("day:T", timeUnit="yearmonthdate", title=None, axis=axis),
-            y=alt.Y("fruit:Q", title=_("Fruit"), axis=alt.Axis(format="d")),
-            color=_color_of_class(line["class"] for line in lines),
-            tooltip=_tips(**{"when": _("Day"), "class": _("Class"), "fruit": _("Fruit")}),
-        )
-    )
-    return _readable(bars, 260)
-
-
-def _day_axis(*, weekday: bool = True, **options: Any) -> alt.Axis:
-    """Return an axis of days in the language that is shown, which Vega does not know."""
-    weekdays, months = map(json.dumps, date_names())
-    words = f"date(datum.value) + ' ' + {months}[month(datum.value)]"
-    if weekday:
-        words = f"{weekdays}[day(datum.value)] + ' ' + {words}"
-    return alt.Axis(labelExpr=words, labelOverlap=True, **options)
+    days = [date.fromisoformat(line["day"]) for line in lines]
+    table = [{**x, "day": day_month_words(d)} for x, d in zip(lines, days, strict=True)]
+    tips = _tips(**{"day": _("Day"), "class": _("Class"), "fruit": _("Fruit")})
+    return _readable(_bars(table, _counted("fruit"), x=_days("day", days), tooltip=tips), 260)
 
 
 def growth_chart(lines: list[dict[str, Any]], units: Units) -> Any:
@@ -181,19 +154,14 @@ def growth_chart(lines: list[dict[str, Any]], units: Units) -> Any:
     Parameters
     ----------
     lines : list of dict
-        'at' (ISO 8601), 'length', 'low' and 'high'; the last two may be None.
+        'day' (a date), 'length', 'low' and 'high'; the last two may be None.
     units : Units
         Unit of the lengths.
     """
-    title = _("Length [{unit}]").format(unit=units.name)
-    lines = [
-        {**line, "when": day_month_words(datetime.fromisoformat(line["at"]))} for line in lines
-    ]
-    base = _chart(lines).encode(x=alt.X("at:T", title=None, axis=_day_axis(tickCount="day")))
-    point = alt.OverlayMarkDef(color=CLASS_GREENS[0], size=80)
-    points = base.mark_line(point=point, color=CLASS_GREENS[0]).encode(
-        y=alt.Y("length:Q", title=title, scale=alt.Scale(zero=False)),
-        tooltip=_tips(when=_("Day"), length=title),
-    )
+    title, days = _("Length [{unit}]").format(unit=units.name), [line["day"] for line in lines]
+    lines = [{**line, "day": day_month_words(line["day"])} for line in lines]
+    y = alt.Y("length:Q", title=title, scale=alt.Scale(zero=False))
+    base = _chart(lines).encode(x=_days("day", days), tooltip=_tips(day=_("Day"), length=title))
+    points = base.mark_line(point=alt.OverlayMarkDef(size=80), color=CLASS_GREENS[0]).encode(y=y)
     whiskers = base.mark_rule(color=_ink()).encode(y=alt.Y("low:Q", title=title), y2="high:Q")
     return _readable(whiskers + points, 220)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from datetime import date, datetime
+from datetime import date
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -200,7 +200,7 @@ def _each_fruit(comparison: DayComparison) -> None:
     changes = comparison.of(kind or kinds[0])
     units = resources.settings().units
     lines = []
-    for fruit in page_elements.page_of(changes, "days_page", round_view.LINES):
+    for fruit in page_elements.first_of(changes, "days_page", round_view.LINES):
         view = fruit.after or fruit.before
         if view is not None:
             picture = round_view.thumbnail_of(view)
@@ -209,7 +209,7 @@ def _each_fruit(comparison: DayComparison) -> None:
         len(changes), "{n} fruit: tap one to see its days", "{n} fruit: tap one to see its days"
     )
     page_elements.fruit_list("days_list", _("Fruit of both days"), lines, words)
-    page_elements.choose_page(changes, "days_page", round_view.LINES)
+    page_elements.draw_more(changes, "days_page", round_view.LINES)
 
 
 def _fruit_days(round_summary: Round, key: str) -> None:
@@ -254,11 +254,10 @@ def _day_lines(view: FruitRow, units: Units) -> list[str]:
 
 
 def length_days(views: Iterable[FruitRow], units: Units) -> list[dict[str, Any]]:
-    """Return a line for each day of a fruit with a length: time, length and interval."""
+    """Return a line for each day of a fruit with a length: the day, length and interval."""
     return [
         {
-            # Without a zone: a browser elsewhere would draw another day than the pages say.
-            "at": datetime.fromtimestamp(view.taken_s).isoformat(timespec="minutes"),
+            "day": date.fromtimestamp(view.taken_s),
             "length": units.value(length.value_m),
             "low": units.value(length.low_m),
             "high": units.value(length.high_m),

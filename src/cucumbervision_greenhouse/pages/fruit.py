@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlencode, urljoin
 
+import numpy as np
 import streamlit as st
 
+from cucumbervision.capture.frames import valid_depth
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.fruit.instance import MaskSource
+from cucumbervision.fruit.mask_codes import decode_rle
+from cucumbervision.fruit.masks import mask_window
 from cucumbervision.methods.table import AVAILABLE
 from cucumbervision.run.fields import FIELDS
 from cucumbervision_greenhouse import fruit_pictures, resources, round_view
@@ -23,6 +28,9 @@ from cucumbervision_greenhouse.store.records import DetectionDetail, Verdict
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+    import pydeck
+    from numpy.typing import NDArray
 
     from cucumbervision.capture.frames import Capture
     from cucumbervision_greenhouse.round_view import RoundView
@@ -191,14 +199,12 @@ def _pictures(detail: DetectionDetail) -> None:
 
 
 def _cloud(capture: Capture, record: FruitRow) -> None:
-    from cucumbervision_greenhouse.pages.fruit_cloud import CLOUD_HEIGHT_PX, point_cloud
-
     deck = point_cloud(capture, record)
     if deck is None:
         st.info(_("There is no depth on this fruit to show in 3D."))
         return
     with st.container(key="point_cloud"):
-        st.pydeck_chart(deck, height=CLOUD_HEIGHT_PX)
+        st.pydeck_chart(deck, height=_CLOUD_PX)
     st.caption(
         _(
             "Depth points (surroundings pale), rings of the fitted tube in blue, its axis in "
@@ -209,34 +215,36 @@ def _cloud(capture: Capture, record: FruitRow) -> None:
 
 
 def _picture(detail: DetectionDetail, capture: Capture) -> None:
-    record, units = detail.view, resources.settings().units
+    view, units = detail.view, resources.settings().units
     depth, words = fruit_pictures.depth_picture(capture.depth_m, units)
-    ruler = st.session_state.get("ruler")
-    view = detail.view
-    adds = st.session_state.get("adds_fruit", False)
-    key = f"fruit_{view.key}"
+    ruler, key = st.session_state.get("ruler"), f"fruit_{view.key}"
 
     def corrected() -> None:
-        st.session_state[f"correction_{view.key}"] = st.session_state[key].corrected
+        st.session_state[f"correction_{key}"] = st.session_state[key].corrected
 
-    drawn = page_elements.picture(
-        key,
-        {
+    action = st.session_state.get(f"correction_{key}")
+    outcome = _("Saved: measured with this outline. 'Undo' removes it.")
+    data = {
+        "images": {
             _("Colour"): fruit_pictures.as_data_url(capture.color),
             _("Depth"): fruit_pictures.as_data_url(depth),
         },
-        (capture.width, capture.height),
-        layers=[*fruit_pictures.fruit_layers(record, capture.intrinsics), *_others(detail)],
-        bar=fruit_pictures.scale_bar(capture.intrinsics, record.distance_m, units),
-        tools=("ruler", "point", "box"),
-        ruler_text=ruler or "",
-        title=_("Fruit {number} of {capture}").format(number=record.fruit, capture=view.capture),
-        focus_px=(record.box_x1_px, record.box_y1_px, record.box_x2_px, record.box_y2_px),
-        place={"stop": view.stop_key, "capture": view.capture, "fruit": view.key},
-        adds=adds,
-        outcome=_outcome(view.key),
-        on={"corrected": corrected},
-    )
+        "width": capture.width,
+        "height": capture.height,
+        "layers": [*fruit_pictures.fruit_layers(view, capture.intrinsics), *_others(detail)],
+        "bar": fruit_pictures.scale_bar(capture.intrinsics, view.distance_m, units),
+        "tools": ["ruler", "point", "box"],
+        "rulerText": ruler or "",
+        "title": _("Fruit {number} of {capture}").format(number=view.fruit, capture=view.capture),
+        "focus": [view.box_x1_px, view.box_y1_px, view.box_x2_px, view.box_y2_px],
+        **{"stop": view.stop_key, "capture": view.capture, "fruit": view.key},
+        "adds": st.session_state.get("adds_fruit", False),
+        "job": action,
+        "told": outcome if action is not None else "",
+    }
+    # The page reads the ruler; a callback is needed for the component to send it.
+    acts = {"on_ruler_change": lambda: None, "on_corrected_change": corrected}
+    drawn = page_elements.component("picture")(key=key, data=data, **acts)
     name = plain(view.capture)
     if capture.simulated:
         name = _("{capture}, computer-made example").format(capture=name)
@@ -297,13 +305,6 @@ def _accept_others(detail: DetectionDetail) -> None:
     )
 
 
-def _outcome(key: str) -> tuple[int | None, str]:
-    """Return the number of a fruit's last correction, and what became of it."""
-    action = st.session_state.get(f"correction_{key}")
-    saved = _("Saved: measured with this outline. 'Undo' removes it.")
-    return action, saved if action is not None else ""
-
-
 def _methods(detail: DetectionDetail) -> None:
     units, record = resources.settings().units, detail.view
     lengths_m = {name: getattr(record, f"{name.lower()}_m") for name in AVAILABLE}
@@ -352,3 +353,124 @@ def _length(record: FruitRow, units: Units) -> str:
     words = texts.length_words(record, units)
     interval = texts.interval_words(record, units)
     return f"{words} ({interval})" if interval else words
+
+
+_POINTS, _RINGS, _RING_POINTS = 3500, 16, 20
+_MARGIN_PX = 12
+_SLAB_M = 0.08  # points farther in front of or behind the fruit are left out
+_CLOUD_PX = 420
+_MOST_PERCENT = 97
+_RING_COLOR, _AXIS_COLOR = (86, 180, 233), (255, 255, 255)
+_ENDS = {"stem": (240, 228, 66), "blossom": (240, 228, 66), "cut": (213, 94, 0)}
+
+
+def point_cloud(capture: Capture, record: FruitRow) -> pydeck.Deck | None:
+    """Return a fruit's depth points and the fitted tube as a scene that can be rotated.
+
+    Parameters
+    ----------
+    capture : Capture
+        The frame.
+    record : FruitRow
+        The fruit, with mask and methods.
+
+    Returns
+    -------
+    pydeck.Deck or None
+        In millimetres about the fruit's middle, y up and z towards the camera: the fruit's points
+        in their colours, what is near it paler, rings and axis of the tube, its two ends, the place
+        to cut, and a bar of 5 cm. None where the fruit has no mask or no depth.
+    """
+    import pydeck
+
+    if record.mask is None:
+        return None
+    mask = decode_rle(record.mask, capture.height, capture.width)
+    readings, window = valid_depth(capture.depth_m), mask_window(mask, _MARGIN_PX)
+    inside = mask & readings
+    if window is None or not inside.any():
+        return None
+    around = np.zeros_like(mask)
+    slab = np.abs(capture.depth_m - np.median(capture.depth_m[inside])) < _SLAB_M
+    around[window] = (readings & slab & ~mask)[window]
+    points, colors = _sample(capture, inside, _POINTS)
+    near, near_colors = _sample(capture, around, _POINTS // 3)
+    middle = np.median(points, axis=0)
+
+    def at_mm(place_m: Any) -> list[Any]:
+        placed: list[Any] = np.round(1000 * (place_m - middle) * (1, -1, -1), 1).tolist()
+        return placed
+
+    lines = [(at_mm(ring), _RING_COLOR, 0.5) for ring in _tube_rings(record)]
+    if lines:
+        lines.append((at_mm(np.array(record.path_m)), _AXIS_COLOR, 1.5))
+    # Readings at the outline that lie far behind would make the fruit small.
+    reach_mm = np.percentile(np.abs(at_mm(points)), _MOST_PERCENT, axis=0).tolist()
+    lines.append(([[x, -reach_mm[1] - 15, 0.0] for x in (-25.0, 25.0)], _AXIS_COLOR, 2.0))
+    places = [(points, colors), (near, near_colors // 2 + 90)]
+    dots = [
+        {"at": at, "color": color}
+        for at_m, of in places
+        for at, color in zip(at_mm(at_m), of.tolist(), strict=True)
+    ]
+    ends = {name: [getattr(record, f"{name}_{axis}_m") for axis in "xyz"] for name in _ENDS}
+    marks = [
+        {"at": at_mm(np.array(at_m)), "color": _ENDS[name]}
+        for name, at_m in ends.items()
+        if None not in at_m
+    ]
+    how: dict[str, Any] = {"get_position": "at", "get_color": "color", "material": False}
+    how["size_units"] = "'common'"
+    width = {"get_width": "width", "width_units": "'common'", "width_min_pixels": 1}
+    paths = [dict(zip(("path", "color", "width"), line, strict=True)) for line in lines]
+    layers = [
+        pydeck.Layer("PointCloudLayer", dots, point_size=0.6, **how),
+        pydeck.Layer("PointCloudLayer", marks, point_size=2.5, **how),
+        pydeck.Layer(
+            "PathLayer", paths, get_path="path", get_color="color", billboard=True, **width
+        ),
+    ]
+    zoom = math.log2(_CLOUD_PX / (2.8 * max(reach_mm)))
+    turned = pydeck.ViewState(target=[0, 0, 0], rotation_x=15, rotation_orbit=-30, zoom=zoom)
+    view = pydeck.View("OrbitView", orbit_axis="Y", controller=True)
+    # No map provider, so that no other machine is contacted.
+    return pydeck.Deck(layers, [view], initial_view_state=turned, map_provider=None, map_style=None)
+
+
+def _tube_rings(record: FruitRow) -> NDArray[np.float64]:
+    """Return circles about the axis of the fitted tube, as closed lines of points.
+
+    Examples
+    --------
+    >>> from cucumbervision_greenhouse.store.records import FruitRow
+    >>> axis = [(0.01 * k, 0.0, 0.5) for k in range(16)]
+    >>> rings = _tube_rings(FruitRow(1, path_m=axis, diameter_m=(0.04,) * 16))
+    >>> rings.shape, round(float(np.linalg.norm(rings[3, 0] - axis[3])), 6)
+    ((16, 21, 3), 0.02)
+    """
+    if not record.diameter_m:
+        return np.zeros((0, _RING_POINTS + 1, 3))
+    axis_m = np.array(record.path_m, np.float64)
+    chosen = np.unique(np.linspace(0, len(axis_m) - 1, _RINGS).round().astype(int))
+    ahead = np.gradient(axis_m, axis=0)[chosen]
+    ahead /= np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-12)
+    # A circle may start at any vector that is not parallel to the axis.
+    normal = np.cross(ahead, np.eye(3)[np.abs(ahead).mean(axis=0).argmin()])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    turn = np.linspace(0, 2 * np.pi, _RING_POINTS + 1)[:, None]
+    around = np.cos(turn) * normal[:, None] + np.sin(turn) * np.cross(ahead, normal)[:, None]
+    rings: NDArray[np.float64] = axis_m[chosen, None] + (
+        np.array(record.diameter_m)[chosen, None, None] / 2 * around
+    )
+    return rings
+
+
+def _sample(
+    capture: Capture, where: NDArray[np.bool_], limit: int
+) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
+    """Return the 3D points and colours of at most about `limit` pixels."""
+    v, u = np.nonzero(where)
+    v, u = (x[:: max(1, len(v) // limit)] for x in (v, u))
+    z = capture.depth_m[v, u].astype(np.float64)
+    x, y = capture.intrinsics.rays(u.astype(np.float64), v.astype(np.float64))
+    return np.stack([x * z, y * z, z], axis=1), capture.color[v, u]

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import time
-from functools import wraps
+from functools import lru_cache, partial, wraps
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import urlencode
 
 import streamlit as st
 
@@ -24,6 +25,7 @@ from cucumbervision_greenhouse.language import (
 )
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.pages.round_choice import choose_round, missing_round
+from cucumbervision_greenhouse.row_drawing import draw_rows
 from cucumbervision_greenhouse.words import hours_words, step_words, taken_back
 
 if TYPE_CHECKING:
@@ -32,6 +34,7 @@ if TYPE_CHECKING:
     from streamlit.delta_generator import DeltaGenerator
 
     from cucumbervision_greenhouse.round_view import RoundView
+    from cucumbervision_greenhouse.settings import Units
     from cucumbervision_greenhouse.store.records import FruitRow, Verdict
 
 _PICTURE_PX = 168  # two abreast on a phone
@@ -240,22 +243,18 @@ def pictures(
                     act(view)
 
 
-def page_of(items: Sequence[Any], key: str, size: int) -> Sequence[Any]:
-    """Return the items of the page that is chosen by `choose_page` with the same key."""
-    number = min(st.session_state.get(key, 1), _pages(items, size))
-    return items[(number - 1) * size : number * size]
+def first_of(items: Sequence[Any], key: str, size: int) -> Sequence[Any]:
+    """Return the items that are drawn: more with each press of the button of `draw_more`."""
+    return items[: st.session_state.get(key, size)]
 
 
-def choose_page(items: Sequence[Any], key: str, size: int) -> None:
-    """Draw the choice of a page where there are several."""
-    pages = _pages(items, size)
-    if pages > 1:
-        st.session_state[key] = min(st.session_state.get(key, 1), pages)
-        st.number_input(_("Page of {pages}").format(pages=pages), 1, pages, key=key)
-
-
-def _pages(items: Sequence[Any], size: int) -> int:
-    return max(1, -(-len(items) // size))
+def draw_more(items: Sequence[Any], key: str, size: int) -> None:
+    """Draw the button that shows more items, where there are more."""
+    drawn = st.session_state.get(key, size)
+    if len(items) > drawn:
+        words = _("Show more ({drawn} of {all})").format(drawn=drawn, all=len(items))
+        more = partial(st.session_state.__setitem__, key, drawn + 5 * size)
+        button(st, words, "expand_more", more)
 
 
 def of_round(draw: Callable[[RoundView], None]) -> Callable[[], None]:
@@ -402,6 +401,33 @@ def _time_left(work: Mapping[str, Any]) -> str:
     return ", " + words.format(n=round(number))
 
 
+def rows(walk: RoundView, rows: Sequence[str] = (), *, opened: str = "") -> dict[str, str]:
+    """Draw rows as they hang, small ones where they are named, and return all drawings.
+
+    A tap opens the fruit; `opened` is the key of the one to show.
+    """
+    drawn = _drawn(walk, tuple(rows), resources.settings().units, language())
+    figures = "".join(
+        f"<figure><figcaption>{escape(title)}</figcaption>"
+        f'<div class="strip" tabindex="0" role="group" aria-label="{escape(title)}">{svg}</div>'
+        "</figure>"
+        for title, svg in drawn.items()
+    )
+    data = {"rows": figures, "small": bool(rows), "opened": opened, "place": walk.key}
+    data["address"] = f"/results?{urlencode(here(fruit=''))}"
+    key = f"rows_{walk.key}_{'_'.join(map(str, rows))}"
+    tapped = component("row")(key=key, data=data, on_opened_change=lambda: None).opened
+    if tapped:
+        leave_for("results", fruit=tapped)
+    return drawn
+
+
+@lru_cache(maxsize=16)
+def _drawn(walk: RoundView, rows: tuple[str, ...], units: Units, _language: str) -> dict[str, str]:
+    fruit = [view for view in walk.shaped if not rows or (view.row or "") in rows]
+    return draw_rows(fruit, walk.content.stops, walk.grades, units)
+
+
 def component(name: str) -> Any:
     """Return a component made of the files of that name in `static`, in the language shown."""
     return _component(name, language())
@@ -416,82 +442,3 @@ def _component(name: str, code: str) -> Any:
     )
     name = f"cucumbervision_{name}_{code}"
     return st.components.v2.component(name, html=html, css=css, js=js)
-
-
-def picture(
-    key: str,
-    images: dict[str, str],
-    size_px: tuple[int, int],
-    *,
-    layers: list[dict[str, Any]] | None = None,
-    bar: dict[str, Any] | None = None,
-    tools: tuple[str, ...] = (),
-    ruler_text: str = "",
-    title: str = "",
-    focus_px: tuple[float, float, float, float] | None = None,
-    place: Mapping[str, str] | None = None,
-    adds: bool = False,
-    outcome: tuple[object, str] = ("", ""),
-    content: dict[str, object] | None = None,
-    on: Mapping[str, Callable[[], None]] | None = None,
-) -> Any:
-    """Draw a picture that accepts clicks, which Streamlit's pictures do not.
-
-    Parameters
-    ----------
-    key : str
-        The element's own.
-    images : dict of str to str
-        Data URLs by name; more than one can be switched.
-    size_px : tuple of int
-        Width and height that points are given in.
-    layers : list of dict
-        As `fruit_layers` gives them; each can be switched.
-    bar : dict
-        As `scale_bar` gives it.
-    tools : tuple of str
-        Of 'ruler', 'point' and 'box'.
-    ruler_text : str
-        What is written on the ruler.
-    title : str
-        What the picture shows, for screen readers.
-    focus_px : tuple of float, optional
-        Box that the picture opens on.
-    place : mapping of str to str
-        'stop', 'capture' and 'fruit' of the picture, for what is outlined in it.
-    adds : bool
-        Whether a point or box adds a fruit; else it is the outline of `place`'s.
-    outcome : tuple of object and str
-        The last correction and its outcome, which is shown over the picture.
-    content : dict, optional
-        'grid' and 'opened' of a row's map, which has marks instead of a picture.
-    on : mapping of str to callable, optional
-        What is called for 'tapped' and 'judged' of a map, and for 'corrected', which holds the
-        number of the action that saved a new outline.
-
-    Returns
-    -------
-    ComponentResult
-        `ruler`: the numbers that were drawn, once.
-    """
-    width, height = size_px
-    data = {
-        "images": images,
-        "width": width,
-        "height": height,
-        "layers": layers or [],
-        "bar": bar,
-        "tools": list(tools),
-        "rulerText": ruler_text,
-        "title": title,
-        "focus": focus_px and list(focus_px),
-        **(place or {}),
-        "adds": adds,
-        "job": outcome[0],
-        "told": outcome[1],
-        "map": content,
-    }
-    # The page reads the values; a callback is needed for the component to send them.
-    acts = {"ruler": lambda: None, **(on or {})}
-    callbacks = {f"on_{name}_change": act for name, act in acts.items()}
-    return component("picture")(key=key, data=data, **callbacks)

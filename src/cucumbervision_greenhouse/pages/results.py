@@ -224,7 +224,7 @@ def _chart(walk: RoundView, fruit: Sequence[FruitRow]) -> None:
 
 
 def _list(walk: RoundView, fruit: Sequence[FruitRow]) -> None:
-    page_fruit = page_elements.page_of(fruit, "list_page", round_view.LINES)
+    page_fruit = page_elements.first_of(fruit, "list_page", round_view.LINES)
     are_pictures = st.session_state.get("only_drawn") == _PICTURES
     picture_of = round_view.cutout_of if are_pictures else round_view.thumbnail_of
     lines = [{**_line(walk, view), "picture": picture_of(view)} for view in page_fruit]
@@ -232,7 +232,7 @@ def _list(walk: RoundView, fruit: Sequence[FruitRow]) -> None:
     page_elements.fruit_list(
         "fruit_list", _("Fruit of this round"), lines, words, are_pictures=are_pictures
     )
-    page_elements.choose_page(fruit, "list_page", round_view.LINES)
+    page_elements.draw_more(fruit, "list_page", round_view.LINES)
 
 
 def _line(walk: RoundView, view: FruitRow) -> dict[str, Any]:

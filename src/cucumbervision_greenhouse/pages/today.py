@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import streamlit as st
 
-from cucumbervision.errors import CucumberVisionError
 from cucumbervision_greenhouse import resources, round_view, tasks
 from cucumbervision_greenhouse import words as texts
 from cucumbervision_greenhouse.forecast.picking import PickKind, ready_on, work
-from cucumbervision_greenhouse.language import counted, marked, ngettext, plain, sentence
+from cucumbervision_greenhouse.language import counted, marked, ngettext, plain
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.pages import page_elements
 from cucumbervision_greenhouse.pages.page_elements import button
@@ -180,6 +179,7 @@ def _picks(walk: RoundView, today: Today) -> None:
         )
         row = next(iter(rows)) if name is None else name
         page_elements.name_in_address("row", row)
+        page_elements.rows(walk, [row])
         total = _("{done} of {all} in all rows").format(
             done=sum(done.values()), all=sum(map(len, ready.values()))
         )
@@ -193,7 +193,7 @@ def _picks(walk: RoundView, today: Today) -> None:
             lines = _lines(walk, picks, picked)
             key = f"picks_{kind}_{walk.key}_{row}"
             page_elements.fruit_list(key, _("Fruit to pick"), lines, words, partial(_keep, key))
-        _all_picked(row, [p.fruit.fruit_id for p in ready[row] if not _is_picked(p, picked)])
+        _all_picked(walk, row, [p.fruit.fruit_id for p in ready[row] if not _is_picked(p, picked)])
         _work(today, picked)
 
     _draw()
@@ -237,50 +237,17 @@ def _keep(key: str) -> None:
             handled.add(tap["number"])
             fruit = [str(tap["key"])]
             store.pick(fruit) if tap["picked"] else store.unpick(fruit)
-            st.session_state.pop("picked_all", None)
 
 
-def _all_picked(row: str, unpicked: list[str]) -> None:
-    @st.dialog(_("All picked?"))
-    def _ask() -> None:
-        words = counted(
-            len(unpicked),
-            "{n} fruit of row {row} will be marked as picked.",
-            "{n} fruit of row {row} will be marked as picked.",
-            row=plain(row),
-        )
-        st.write(words)
-        yes, no = st.columns(2)
-        if yes.button(_("Yes, all are picked"), type="primary", width="stretch"):
-            try:
-                st.session_state["picked_all"] = resources.store().pick(unpicked)
-            except CucumberVisionError as error:
-                st.error(sentence(error), icon=":material/error:")
-            else:
-                st.rerun()
-        if no.button(_("No"), width="stretch"):
-            st.rerun()
-
+def _all_picked(walk: RoundView, row: str, unpicked: list[str]) -> None:
     with st.container(key="noprint"):
         mark, undo = st.columns(2)
-        if mark.button(
-            _("All of row {row} are picked").format(row=plain(row)),
-            icon=":material/done_all:",
-            width="stretch",
-            disabled=not unpicked,
-        ):
-            _ask()
-        number = st.session_state.get("picked_all")
-        button(undo, _("Undo 'all picked'"), "undo", _undo, number, disabled=number is None)
+        words = _("All of row {row} are picked").format(row=plain(row))
+        mark_all = partial(page_elements.do, partial(resources.store().pick, unpicked))
+        button(mark, words, "done_all", mark_all, disabled=not unpicked)
+        with undo:
+            page_elements.draw_undo(walk.key)
         st.caption(_("Tap a fruit when it is picked. Tap again to undo."))
-
-
-def _undo(number: int) -> None:
-    try:
-        resources.store().undo(number=number)
-    except CucumberVisionError as error:
-        st.toast(plain(error))
-    st.session_state.pop("picked_all", None)
 
 
 def _work(today: Today, picked: set[str]) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import streamlit as st
 
@@ -20,8 +20,6 @@ from cucumbervision_greenhouse.uploads import CAMERAS, MOST_FILES
 from cucumbervision_greenhouse.words import round_day, side_words
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
     from cucumbervision_greenhouse.round_view import RoundView
     from cucumbervision_greenhouse.store.records import Round
     from cucumbervision_greenhouse.uploads import Upload
@@ -71,102 +69,61 @@ def page(walk: RoundView) -> None:
 
 
 def _place(round_summary: Round) -> NextPlace:
-    """Draw where the first capture was taken, for files that do not say; it goes on from there.
+    """Draw where the first capture was taken, for files that do not say.
 
-    What was typed stays until it was sent, also in the address for a reload; another row goes on
-    where its last stop is.
+    The place after the last stop of the row is suggested. What was typed stays until it is sent,
+    the row also in the address, for a reload.
     """
-    stops = resources.store().stops(round_summary.key)
+    key, units = round_summary.key, resources.settings().units
+    stops, (unit, per_metre) = resources.store().stops(key), units.along
     sides = sides_of(stops)
-    keys = {name: f"up_{name}_{round_summary.key}" for name in ("row", "side", "at", "step", "way")}
-
-    def suggest(place: NextPlace) -> None:
-        side = place.side if place.side in sides else sides[0]
-        per_metre = resources.settings().units.along[1]
-        at, step = place.position_m * per_metre, place.step_m * per_metre
-        values = place.row, side, at, step, "down" if place.back else "up"
-        st.session_state.update(zip(keys.values(), values, strict=True))
-
-    def change_row() -> None:
-        row = st.session_state[keys["row"]].strip()
-        side = st.session_state[keys["side"]]
-        row_stops = [stop for stop in stops if (stop.row or "") == row]
-        suggest(next_place(row_stops) if row_stops else NextPlace(row, side))
-        keep()
+    sent = [upload.sending.key for upload in resources.uploads().all(key)[:1]]
+    basis = st.session_state.get(f"up_basis_{key}")
+    if basis and basis[0] != sent:  # it was sent: on from there
+        page_elements.name_in_address("row", None)
+    if basis is None or "row" not in st.query_params:
+        basis = st.session_state[f"up_basis_{key}"] = sent, len(stops)
+    fields = f"up_{key}_{basis}"
 
     def keep() -> None:
-        page_elements.name_in_address("row", st.session_state[keys["row"]].strip())
+        page_elements.name_in_address("row", st.session_state[f"{fields}_row"].strip())
 
-    sent = [upload.sending.key for upload in resources.uploads().all(round_summary.key)[:1]]
-    basis = (tuple(sent), round_summary.stops)
-    before = st.session_state.get(f"up_given_{round_summary.key}")
-    is_typed = "row" in st.query_params
-    if before is not None and before[0] != basis[0] and is_typed:
-        page_elements.name_in_address("row", None)  # it was sent: on from there
-        is_typed = False
-    if keys["row"] not in st.session_state or (before != basis and not is_typed):
-        suggest(next_place(stops))
-        if is_typed:
-            st.session_state[keys["row"]] = st.query_params["row"][:LONGEST_NAME]
-            change_row()
-    st.session_state[f"up_given_{round_summary.key}"] = basis
-    return _draw_place(keys, sides, change_row, keep)
+    def field(name: str, value: object) -> dict[str, Any]:
+        st.session_state.setdefault(f"{fields}_{name}", value)
+        return {"key": f"{fields}_{name}", "on_change": keep}
 
-
-def _draw_place(
-    keys: Mapping[str, str],
-    sides: Sequence[str],
-    change_row: Callable[[], None],
-    keep: Callable[[], None],
-) -> NextPlace:
-    """Draw the fields of a place by the keys of their values, and return what they hold."""
-    unit, per_metre = resources.settings().units.along
     # In two lines, so that no choice is cut off on a tablet.
     row, side = st.columns(2)
     position, step, way = st.columns([2, 2, 3])
-    named = row.text_input(_("Row"), max_chars=LONGEST_NAME, key=keys["row"], on_change=change_row)
+    typed = st.query_params.get("row", next_place(stops).row)[:LONGEST_NAME]
+    named = row.text_input(_("Row"), max_chars=LONGEST_NAME, **field("row", typed)).strip()
+    of_row = [stop for stop in stops if (stop.row or "") == named]
+    at = next_place(of_row) if of_row else NextPlace(named)
     try:
         named = checked_name(named, "row")
     except NameRefusedError as error:
         st.warning(sentence(error), icon=":material/error:")
         named = ""
+    at_words, step_words = _("First at [{unit}]"), _("Step [{unit}]")
+    side_of = field(f"side{named}", at.side if at.side in sides else sides[0])
+    first = field(f"at{named}", at.position_m * per_metre)
+    stride = field(f"step{named}", at.step_m * per_metre)
+    walking = field(f"way{named}", "down" if at.back else "up")
+    how: dict[str, Any] = {"required": True, "width": "stretch"}
     return NextPlace(
-        row=named,
-        side=side.segmented_control(
-            _("Side"),
-            sides,
-            format_func=_side_words,
-            required=True,
-            key=keys["side"],
-            on_change=keep,
-        )
+        named,
+        side.segmented_control(_("Side"), sides, format_func=_side_words, **how, **side_of)
         or sides[0],
-        position_m=position.number_input(
-            _("First at [{unit}]").format(unit=unit),
-            0.0,
-            step=0.1,
-            format="%.2f",
-            key=keys["at"],
-            on_change=keep,
-        )
+        position.number_input(at_words.format(unit=unit), 0.0, step=0.1, format="%.2f", **first)
         / per_metre,
-        step_m=step.number_input(
-            _("Step [{unit}]").format(unit=unit),
-            0.0,
-            5.0 * per_metre,
-            step=0.1,
-            key=keys["step"],
-            on_change=keep,
-        )
+        step.number_input(step_words.format(unit=unit), 0.0, 5.0 * per_metre, step=0.1, **stride)
         / per_metre,
-        back=way.segmented_control(
+        way.segmented_control(
             _("Walking"),
             ["up", "down"],
             format_func={"up": _("up the row"), "down": _("down the row")}.__getitem__,
-            required=True,
-            width="stretch",
-            key=keys["way"],
-            on_change=keep,
+            **how,
+            **walking,
         )
         == "down",
     )

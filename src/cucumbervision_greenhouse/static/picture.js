@@ -1,4 +1,4 @@
-// A picture with layers, a scale bar, a ruler, and a pointer or a box to prompt with; or the map of a row, whose marks are tapped.
+// A picture with layers, a scale bar, a ruler, and a pointer or a box to prompt with.
 const SVG = "http://www.w3.org/2000/svg";
 const HINTS = {
   "": _("Pinch or + and − to zoom, then drag to move; Ctrl and wheel with a mouse."),
@@ -8,7 +8,7 @@ const HINTS = {
 };
 const NAMES = { ruler: _("Ruler"), point: _("Redraw by tap"), box: _("Redraw by box") };
 const ADDS = { point: _("Add by tap"), box: _("Add by box") };
-const NEAREST = 20, MARK_PX = 12; // the radius of a mark, which a thumb hits
+const NEAREST = 20;
 const PATIENCE_MS = 120000;
 const state = new WeakMap();
 
@@ -83,39 +83,6 @@ function place(parent, nodes) {
   });
 }
 
-const MARKS = {
-  picked: (x, y, r) => `M${x - r} ${y - r}L${x + r} ${y + r}M${x - r} ${y + r}L${x + r} ${y - r}`,
-  simulated: (x, y, r) => `M${x - r} ${y}L${x} ${y - r}L${x + r} ${y}L${x} ${y + r}Z`,
-  seen: (x, y, r) => `M${x - r} ${y}a${r} ${r} 0 1 0 ${2 * r} 0a${r} ${r} 0 1 0 ${-2 * r} 0Z`,
-};
-
-function drawMarks(svg, { marks, color }, data, { px, card }) {
-  const group = make("g", { fill: color, stroke: color, "pointer-events": "all" }, svg);
-  for (const [x, y, key, words, mark, once] of marks) {
-    const picked = mark === "picked", r = (picked ? 0.8 : 1) * MARK_PX * px;
-    const node = make("path", {
-      d: MARKS[mark](x, y, r), "data-key": key, "fill-opacity": once ? 0.15 : 0.85, "stroke-width": (picked ? 7 : 2.5) * px,
-    }, group);
-    if (card === key) node.classList.add("open");
-    make("title", {}, node).textContent = says(data, words);
-  }
-}
-
-const says = (data, words) => `${data.map.row}, ${words}`;
-
-function drawGrid(svg, grid, { x, y, w, h }, px) {
-  const line = { "stroke-width": px };
-  for (const [at] of grid.across) make("line", { x1: at, x2: at, y1: y, y2: y + h, ...line }, svg);
-  for (const [at] of grid.up) make("line", { x1: x, x2: x + w, y1: at, y2: at, ...line }, svg);
-}
-
-// Over the marks, which are tapped through them.
-function drawScales(svg, grid, { x, y, h }, px) {
-  const group = make("g", { "pointer-events": "none" }, svg);
-  for (const [at, words] of grid.across) text(group, words, at, y + h - 4 * px, 13 * px, "middle");
-  for (const [at, words] of grid.up) text(group, words, x + 3 * px, at - 3 * px, 13 * px);
-}
-
 function drawLayer(svg, layer, unit) {
   for (const shape of layer.shapes) {
     const points = shape.points;
@@ -161,19 +128,15 @@ function draw(root, data, own) {
   const box = svg.getBoundingClientRect(), wide = box.width || 900;
   own.size = `${box.width} ${box.height}`;
   const unit = own.unit = w / Math.min(900, 1.35 * wide); // words are read on a phone too
-  own.px = Math.max(w / wide, h / (box.height || wide));
   // A finger on a picture that nobody zoomed scrolls the page.
   svg.style.touchAction = own.tool === "box" || own.zoomed ? "none" : "pan-y";
   svg.setAttribute("aria-label", data.title);
   svg.classList.toggle("drawing", own.tool !== "");
-  svg.classList.toggle("map", Boolean(data.map));
   svg.replaceChildren();
   const names = Object.keys(data.images);
   if (!names.includes(own.image)) own.image = names[0];
-  if (data.map) drawGrid(svg, data.map.grid, { x, y, w, h }, own.px);
-  else make("image", { href: data.images[own.image], x: -0.5, y: -0.5, width: data.width, height: data.height, preserveAspectRatio: "none" }, svg);
-  for (const layer of data.layers) if (own.on[layer.name]) (layer.marks ? drawMarks(svg, layer, data, own) : drawLayer(svg, layer, unit));
-  if (data.map) drawScales(svg, data.map.grid, { x, y, h }, own.px);
+  make("image", { href: data.images[own.image], x: -0.5, y: -0.5, width: data.width, height: data.height, preserveAspectRatio: "none" }, svg);
+  for (const layer of data.layers) if (own.on[layer.name]) drawLayer(svg, layer, unit);
   if (own.tool === "ruler") drawRuler(svg, own.ends, data.rulerText, unit);
   if (own.tool === "box" && own.drag) {
     const [x1, y1, x2, y2] = own.drag;
@@ -181,41 +144,6 @@ function draw(root, data, own) {
   }
   for (const line of own.draft) make("polygon", { points: line.join(" "), fill: "#ff0", "fill-opacity": 0.25, stroke: "#ff0", "stroke-width": 2.5 * unit, "stroke-dasharray": `${8 * unit}` }, svg);
   if (data.bar) drawBar(svg, data.bar, { x, y, w, h }, unit);
-  if (data.map) putCard(root, data, own);
-}
-
-const markOf = (data, key) => data.layers.flatMap((layer) => layer.marks || []).find((mark) => mark[2] === key);
-
-// What is said of a mark stands beside it, and inside the picture's sides.
-function putCard(root, data, own) {
-  const card = root.querySelector(".card"), svg = root.querySelector("svg");
-  const mark = markOf(data, own.card);
-  if (mark) own.at = mark.slice(0, 2);
-  card.hidden = !own.card;
-  if (card.hidden) return;
-  const at = new DOMPoint(...(own.at || [own.view.x, own.view.y])).matrixTransform(svg.getScreenCTM());
-  const seen = root.querySelector(".seen").getBoundingClientRect(), own_px = card.getBoundingClientRect();
-  const below = at.y - seen.top + MARK_PX + 6, above = below - own_px.height - 2 * MARK_PX - 12;
-  card.style.left = `${Math.max(0, Math.min(at.x - seen.left - own_px.width / 2, seen.width - own_px.width))}px`;
-  card.style.top = `${below + seen.top + own_px.height > innerHeight && above + seen.top > 0 ? above : below}px`;
-}
-
-// A mark that was tapped is answered at once by what the map knows of it, then by its picture and what it was marked.
-function card(root, data, own, again, send) {
-  const { opened } = data.map, node = root.querySelector(".card"), [image, words, acts] = ["img", "p", ".chips"].map((name) => node.querySelector(name));
-  const mark = markOf(data, own.card);
-  const isKnown = opened && opened.key === own.card;
-  image.hidden = !(isKnown && opened.picture);
-  if (!image.hidden) image.src = opened.picture;
-  words.textContent = isKnown ? opened.says : mark ? says(data, mark[3]) : "";
-  const judge = (act) => () => send("judged", { key: own.card, act });
-  const close = () => { own.card = null; again(); send("tapped", ""); };
-  place(acts, [
-    chip(_("This is a fruit"), isKnown && opened.verdict === "accepted", "", judge("accepted")),
-    chip(_("Not a fruit"), isKnown && opened.verdict === "rejected", "", judge("rejected")),
-    chip(_("Open"), false, "", judge("open")), chip(_("Close"), false, "", close),
-  ]);
-  putCard(root, data, own);
 }
 
 // Where the picture opens: on the fruit, with as much about it as is needed to know where it is.
@@ -283,8 +211,6 @@ export default function (component) {
   if (own.job !== data.job) Object.assign(own, { job: data.job, told: data.told, draft: [] });
   own.view = own.view || opening(data);
   prepare(data, own);
-  const opened = data.map?.opened?.key;
-  if (own.opened !== opened) Object.assign(own, { opened, card: opened });
   for (const layer of data.layers) if (!(layer.name in own.on)) own.on[layer.name] = layer.on;
   const svg = root.querySelector("svg");
   const redraw = () => { draw(root, data, own); root.querySelector(".told").textContent = own.told; };
@@ -294,7 +220,6 @@ export default function (component) {
   const again = () => {
     redraw();
     chips(root, data, own, again);
-    if (data.map) card(root, data, own, again, setTriggerValue);
   };
   const send = (kind, value) => prompt(data, own, kind, value, redraw, setTriggerValue);
   const raw = (event) => {
@@ -356,12 +281,6 @@ export default function (component) {
   };
   svg.onclick = (event) => {
     if (own.moved) return;
-    if (data.map) {
-      own.card = event.target.dataset.key;
-      again();
-      if (own.card) root.querySelector(".card").scrollIntoView({ block: "nearest" });
-      setTriggerValue("tapped", own.card || "");
-    }
     if (own.tool === "point") send("point", at(event));
     if (own.tool !== "ruler") return;
     own.ends = own.ends.length === 1 ? [own.ends[0], at(event)] : [at(event)];

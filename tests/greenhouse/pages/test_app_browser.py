@@ -247,7 +247,7 @@ def test_lengths_typed_one_after_the_other_are_all_kept(
 @pytest.mark.parametrize(
     ("page", "words", "name"),
     [
-        ("Row map", "One mark per fruit", "map"),
+        ("Row map", "true size", "map"),
         ("Today", "Pick list", "today"),
         ("Forecast", "if nothing is picked", "forecast"),
         ("Accuracy", "Measured by hand", "accuracy"),

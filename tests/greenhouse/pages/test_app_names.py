@@ -31,7 +31,7 @@ PAGES = {
     "upload": ("/upload", "Measure these files"),
     "results": ("/results", "tap one to open it"),
     "fruit": ("/results?fruit={fruit}", "Details"),
-    "map": ("/map?fruit={fruit}", "This is a fruit"),
+    "map": ("/map?fruit={fruit}", "true size"),
     "stop": ("/map?stop={stop}", "Delete this stop"),
     "days": ("/days", "Nothing to compare yet"),
     "forecast": ("/forecast", "if nothing is picked"),

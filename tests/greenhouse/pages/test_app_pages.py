@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 import threading
@@ -150,18 +151,10 @@ def test_every_page_opens_on_500_stops(
         if page == "results":
             assert next(m.value for m in test.metric if m.label == "Fruit") == "2500"
         if page == "row_map":
-            drawn = [
-                one for one in test.get("bidi_component") if "picture" in one.proto.component_name
-            ]
-            marks = [
-                mark[2]
-                for one in drawn
-                for layer in json.loads(one.proto.json)["layers"]
-                for mark in layer["marks"]
-            ]
-            assert len(set(marks)) == len(marks) == 2500
-            # A tablet in the house loads them; before, it was 240 a mark.
-            assert sum(len(one.proto.json) for one in drawn) < 130 * len(marks)
+            [drawn] = [x for x in test.get("bidi_component") if "_row_" in x.proto.component_name]
+            keys = re.findall('data-key="(.*?)"', json.loads(drawn.proto.json)["rows"])
+            assert len(set(keys)) == len(keys) == 2500
+            assert len(drawn.proto.json) < 480 * len(keys)
 
 
 @pytest.mark.parametrize("page", ["results", "row_map", "forecast", "accuracy"])

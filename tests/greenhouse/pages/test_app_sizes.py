@@ -31,7 +31,7 @@ PAGES = {
     "upload": ("/upload", "Measure these files"),
     "results": ("/results", "tap one to open it"),
     "fruit": ("/results?fruit={fruit}", "Details"),
-    "map": ("/map?fruit={fruit}", "This is a fruit"),
+    "map": ("/map?fruit={fruit}", "true size"),
     "stop": ("/map?stop={stop}", "Delete this stop"),
     "days": ("/days", "Compare with"),
     "forecast": ("/forecast", "if nothing is picked"),
@@ -116,7 +116,7 @@ def test_back_and_reload_come_to_the_same_place(
     page.reload()
     picture.wait_for()
     page.locator(".st-key-nav a").filter(has_text="Row map").click()
-    page.get_by_text("One mark per fruit").wait_for()
+    page.get_by_text("true size").wait_for()
     page.go_back()
     picture.wait_for()
     page.go_back()
@@ -190,68 +190,30 @@ def middle(place: Any) -> tuple[float, float]:
     return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
 
 
-def test_a_tap_on_the_map_is_answered_beside_the_finger(
+def test_two_fingers_enlarge_the_row_and_a_tap_beside_a_fruit_opens_it(
     address: tuple[str, dict[str, str]], new_page: Callable[..., Any]
 ) -> None:
     page = new_page(*SIZES["phone"], has_touch=True)
     page.goto(f"{address[0]}/map?round={TODAY}")
-    marks, card = page.locator("svg.map path"), page.locator(".card:visible")
-    marks.first.wait_for()
-    before, size = marks.count(), marks.first.bounding_box()
-    assert min(size["width"], size["height"]) >= 24
-    scales = page.locator("svg.map text")
-    assert scales.count() > 2
-    above = "words => words.every(one => one.closest('svg').querySelector('path')"
-    above += ".compareDocumentPosition(one) & Node.DOCUMENT_POSITION_FOLLOWING)"
-    assert scales.evaluate_all(above)
-    marks.first.tap()
-    card.locator("img").wait_for()
-    x, y = middle(marks.first)
-    box = card.bounding_box()
-    assert box["x"] <= x <= box["x"] + box["width"]
-    assert min(abs(box["y"] - y), abs(box["y"] + box["height"] - y)) < 40
-    assert 0 <= box["y"] <= box["y"] + box["height"] <= SIZES["phone"][1]
-    card.get_by_role("button", name="Not a fruit").tap()
-    card.get_by_text("Marked: not a fruit.").wait_for()
-    assert marks.count() == before - 1
-    page.get_by_role("button", name="Undo").tap()
-    card.get_by_text("Marked: not a fruit.").wait_for(state="hidden")
-    assert marks.count() == before
-    card.get_by_role("button", name="Open").tap()
-    page.get_by_role("button", name="All fruit").wait_for()
-    assert "/results?" in page.url
-
-
-def test_two_fingers_zoom_the_map_and_one_moves_it(
-    address: tuple[str, dict[str, str]], new_page: Callable[..., Any]
-) -> None:
-    page = new_page(*SIZES["phone"], has_touch=True)
-    page.goto(f"{address[0]}/map?round={TODAY}")
-    drawn = page.locator("svg.map").first
-    drawn.locator("path").first.wait_for()
+    drawn, strip = page.locator(".strip svg.row").first, page.locator(".strip").first
+    drawn.locator("a").first.wait_for()
     touch = page.context.new_cdp_session(page)
 
     def fingers(kind: str, *places: tuple[float, float]) -> None:
         points = [{"x": x, "y": y, "id": number} for number, (x, y) in enumerate(places)]
         touch.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
 
-    def view() -> list[float]:
-        return [float(part) for part in drawn.get_attribute("viewBox").split()]
-
-    whole, (x, y) = view(), middle(drawn)
+    before, (x, y) = drawn.bounding_box()["width"], middle(strip)
     fingers("touchStart", (x - 30, y), (x + 30, y))
     for apart in (40, 50, 60):
         fingers("touchMove", (x - apart, y), (x + apart, y))
     fingers("touchEnd")
-    zoomed = view()
-    assert zoomed[2] == pytest.approx(whole[2] / 2, rel=0.1)
-    fingers("touchStart", (x, y))
-    for moved in (10, 20, 30):
-        fingers("touchMove", (x + moved, y))
-    fingers("touchEnd")
-    assert view()[0] < zoomed[0]
-    assert view()[2] == zoomed[2]
-    assert page.locator(".card:visible").count() == 0
+    assert drawn.bounding_box()["width"] == pytest.approx(2 * before, rel=0.1)
+    strip.evaluate("strip => { strip.scrollLeft = 0; }")
+    fruit = drawn.locator("a .body").first.bounding_box()
+    page.touchscreen.tap(fruit["x"] - 15, fruit["y"] + fruit["height"] / 2)
+    page.get_by_role("button", name="All fruit").wait_for()
+    assert "/results?" in page.url
 
 
 @pytest.mark.parametrize("size", SIZES)

@@ -71,7 +71,7 @@ def test_own_fruit_say_how_far_off_lengths_are_and_what_is_corrected(
 def test_calibrations_are_listed_newest_first_with_what_is_wrong(tmp_path: Path) -> None:
     site = calibrate_camera([grid_capture(20.0)], 0.01, "grid")
     folder = tmp_path / "house.truth"
-    assert saved_calibrations(folder) == []
+    assert saved_calibrations(folder) == {}
     older = save_calibration(
         folder, site.model_copy(update={"created": "2026-01-01T10:00:00+00:00", "name": "old/../x"})
     )
@@ -79,11 +79,8 @@ def test_calibrations_are_listed_newest_first_with_what_is_wrong(tmp_path: Path)
     assert older.parent == newer.parent == folder
     lost = tmp_path / "elsewhere.json"
     saved = saved_calibrations(folder, str(lost))
-    assert [entry.path for entry in saved][:1] == [newer]
-    assert {entry.path for entry in saved} == {newer, older, lost}
-    [missing] = [entry for entry in saved if entry.site is None]
-    assert (missing.path, missing.title) == (lost, "elsewhere.json")
-    assert missing.fault
+    assert list(saved) == [str(path) for path in (newer, older, lost)]
+    assert "elsewhere.json" in str(saved[str(lost)])
     with pytest.raises(NameRefusedError):
         save_calibration(folder, site.model_copy(update={"name": "a\u202eb"}))
 

@@ -10,7 +10,7 @@ pytest.importorskip("streamlit")
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.fruit.mask_codes import encode_rle
-from cucumbervision_greenhouse.pages.fruit_cloud import point_cloud
+from cucumbervision_greenhouse.pages.fruit import point_cloud
 from cucumbervision_greenhouse.store.records import FruitRow
 
 CAMERA = Intrinsics(80, 60, 100.0, 100.0, 39.5, 29.5)

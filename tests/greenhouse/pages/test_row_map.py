@@ -19,6 +19,6 @@ def test_the_row_map_shows_the_fruit_in_the_address_and_says_which_is_gone(house
         first, *_ = store.detections(WALK)
     test = app("row_map", round=WALK, fruit=first.key)
     assert not test.exception
-    assert "One mark per fruit" in said(test)
+    assert "true size" in said(test)
     assert "no such fruit" not in said(test)
     assert "no such fruit" in said(app("row_map", round=WALK, fruit="gone"))

@@ -398,24 +398,20 @@ def kind_words(kind: str | None) -> str:
     }.get(kind or "", _("Length"))
 
 
-def height_words(record: FruitRow, units: Units) -> str:
-    """Return how high a fruit hangs in words; empty if unknown.
+_LEVEL_M = 0.2  # from the camera's height, upwards or downwards
+
+
+def height_words(record: FruitRow) -> str:
+    """Return whether a fruit hangs high or low in its picture; empty in between, or if unknown.
 
     Examples
     --------
-    >>> from cucumbervision_greenhouse.settings import Units
     >>> from cucumbervision_greenhouse.store.records import FruitRow
-    >>> height_words(FruitRow(1, centre_y_m=-0.312), Units("cm"))
-    '31 cm above the camera'
+    >>> height_words(FruitRow(1, centre_y_m=-0.312)), height_words(FruitRow(1, centre_y_m=0.1))
+    ('hangs high', '')
     """
-    if record.centre_y_m is None:
-        return ""
-    height = units.value(abs(record.centre_y_m)) or 0.0
-    if round(height) == 0:
-        return _("as high as the camera")
-    below, above = _("{height} below the camera"), _("{height} above the camera")
-    words = below if record.centre_y_m > 0 else above
-    return words.format(height=f"{height:.0f} {units.name}")
+    down_m = record.centre_y_m or 0.0
+    return "" if abs(down_m) < _LEVEL_M else _("hangs low") if down_m > 0 else _("hangs high")
 
 
 def added_words(*, doubtful: bool) -> str:

@@ -90,29 +90,20 @@ def _table(fruit: list[FruitRow], path: Path) -> None:
     name = f"hand_{path.stem}_{units.name}"
     typed: dict[str, list[str | None]] = st.session_state.setdefault(f"{name}_typed", {})
     key = f"{name}_{page_fruit[0].key}"
-    component("handlist")(
-        key=key,
-        data={
-            "lines": [_line(view, saved.get(view.key, (None, None))) for view in page_fruit],
-            "typed": typed,
-            "least": LENGTHS[0],
-            "most": LENGTHS[1],
-        },
-        default={"typed": {}},
-        on_typed_change=lambda: typed.update(st.session_state[key].typed or {}),
-    )
+    lines = [_line(view, saved.get(view.key, (None, None))) for view in page_fruit]
+    data = {"lines": lines, "typed": typed, "least": LENGTHS[0], "most": LENGTHS[1]}
+    send = lambda: typed.update(st.session_state[key].typed or {})  # noqa: E731
+    default: dict[str, Any] = {"typed": {}}
+    component("handlist")(key=key, data=data, default=default, on_typed_change=send)
     page_elements.draw_more(fruit, "hand_page", _LINES)
     bad = _read(typed, saved)
     if bad:
         words = _("{typed}: no length between {least} and {most}.")
-        st.warning(
-            plain(words.format(typed=", ".join(bad), least=LENGTHS[0], most=LENGTHS[1])),
-            icon=":material/error:",
-        )
+        words = words.format(typed=", ".join(bad), least=LENGTHS[0], most=LENGTHS[1])
+        st.warning(plain(words), icon=":material/error:")
+    slip = _("{by_hand} by hand, {length} by the program")
     odd = [
-        _("{by_hand} by hand, {length} by the program").format(
-            by_hand=units.text(hand_m), length=length_words(view, units)
-        )
+        slip.format(by_hand=units.text(hand_m), length=length_words(view, units))
         for view in fruit
         for hand_m in saved.get(view.key, ())
         if is_odd(view, hand_m)

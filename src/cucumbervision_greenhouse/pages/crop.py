@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import unicodedata
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import streamlit as st
@@ -14,7 +16,7 @@ from cucumbervision.files import parse_model
 from cucumbervision.names import checked_name
 from cucumbervision_greenhouse import resources, round_view
 from cucumbervision_greenhouse.language import gettext as _
-from cucumbervision_greenhouse.language import marked, plain, sentence, told_apart, words_of
+from cucumbervision_greenhouse.language import marked, plain, sentence, told_apart
 from cucumbervision_greenhouse.pages import page_elements
 from cucumbervision_greenhouse.rounds.fruit_table import on_the_plant
 from cucumbervision_greenhouse.settings import replace_text
@@ -73,39 +75,26 @@ def _form(name: str, profile: CropProfile, *, own: bool) -> None:
     """Draw the limits as fields, what they would change, and the button that saves them."""
     key = f"limits_{name}_{hash(profile.model_dump_json())}"  # new fields where it was changed
     limits = _fields(key, profile)
-    title = st.text_input(
-        _("Name of your crop"),
-        profile.title if own else _("{crop}, own limits").format(crop=_(profile.title)),
-        key=f"{key}_title",
-    )
+    usual = profile.title if own else _("{crop}, own limits").format(crop=_(profile.title))
+    title = st.text_input(_("Name of your crop"), usual, key=f"{key}_title").strip()
     try:
-        changed = with_limits(profile, title=title.strip(), **limits)
+        changed = with_limits(profile, title=title, **limits)
     except CucumberVisionError as error:
         st.error(sentence(error), icon=":material/error:")
         return
     _preview(profile, changed)
 
     def save() -> None:
-        try:
-            path = save_own_profile(changed, profile)
-        except CucumberVisionError as error:
-            st.session_state["limits_fault"] = words_of(error)
-            return
+        path = save_own_profile(changed, profile)
         resources.forget_profiles()
         resources.change_settings(profile=path.stem)
         words = _("Saved: new rounds have the crop '{crop}'.")
         st.toast(plain(words.format(crop=changed.title)))
 
-    page_elements.button(
-        st,
-        _("Save and use for new rounds"),
-        "save",
-        save,
-        type="primary",
-        disabled=not title.strip(),
-    )
-    if fault := st.session_state.pop("limits_fault", None):
-        st.error(sentence(fault), icon=":material/error:")
+    act = partial(page_elements.do, save)
+    how: dict[str, Any] = {"type": "primary", "disabled": not title}
+    page_elements.button(st, _("Save and use for new rounds"), "save", act, **how)
+    page_elements.draw_fault()
     st.caption(
         _(
             "Saved as a crop of your own; the one that the program brings stays as it is. Rounds "
@@ -116,30 +105,34 @@ def _form(name: str, profile: CropProfile, *, own: bool) -> None:
 
 def _fields(key: str, profile: CropProfile) -> dict[str, Any]:
     """Draw the limits of a profile as fields, and return what they hold, for `with_limits`."""
-    edges_m = _edge_fields(key, profile)
+    units = resources.settings().units
+
+    def number(place: Any, label: str, low: float, high: float, value: float, step: float) -> float:
+        digits = max(-math.floor(math.log10(step)), 0)
+        span = page_elements.spanning(low, high, value)
+        how = {"format": f"%.{digits}f", "key": f"{key}_{label}"}
+        return float(place.number_input(sentence(label), *span, step, **how))
+
+    classes = sorted(profile.classes, key=lambda c: c.min_cm)
+    labels = [_("{name} from").format(name=class_words(c.name)) for c in classes]
+    labels.append(_("{name} below").format(name=class_words(classes[-1].name)))
+    two = st.columns(2)
+    edges_m = []
+    for k, (label, edge_m) in enumerate(zip(labels, profile.edges_m.tolist(), strict=True)):
+        shown, step = units.value(edge_m) or 0.0, 0.5 if units.name == "cm" else 0.25
+        value = number(two[k % 2], f"{label} [{units.name}]", 0.1, 200.0, shown, step)
+        # A limit that was not changed is not rounded as it is shown in inches.
+        edges_m.append(edge_m if value == shown else units.metres(value))
+    up_to = _("{shape} up to [mm of arc for 10 cm]")
     arcs = [
-        st.number_input(
-            sentence(_("{shape} up to [mm of arc for 10 cm]").format(shape=_(band.name))),
-            *page_elements.spanning(0.5, 100.0, band.max_mm_per_10cm),
-            0.5,
-            format="%.1f",
-            key=f"{key}_arc_{number}",
-        )
-        for number, band in enumerate(profile.shape)
+        number(st, up_to.format(shape=_(band.name)), 0.5, 100.0, band.max_mm_per_10cm, 0.5)
+        for band in profile.shape
         if band.max_mm_per_10cm is not None
     ]
-    smallest = {}
-    for column, (limit, label, most, step) in zip(
-        st.columns(2),
-        (
-            ("minimum_diameter_mm", _("Thinnest [mm]; 0: no limit"), 200.0, 1.0),
-            ("minimum_g", _("Lightest [g]; 0: no limit"), 5000.0, 10.0),
-        ),
-        strict=True,
-    ):
-        how: dict[str, Any] = {"format": "%.0f", "key": f"{key}_{limit}"}
-        span = page_elements.spanning(0.0, most, getattr(profile, limit) or 0.0)
-        smallest[limit] = column.number_input(label, *span, step, **how) or None
+    thinnest, lightest = _("Thinnest [mm]; 0: no limit"), _("Lightest [g]; 0: no limit")
+    left, right = st.columns(2)
+    diameter_mm = number(left, thinnest, 0.0, 200.0, profile.minimum_diameter_mm or 0.0, 1.0)
+    mass_g = number(right, lightest, 0.0, 5000.0, profile.minimum_g or 0.0, 10.0)
     words = _("Thickness and weight decide on the class")
     decide = st.toggle(words, profile.size_rules == "decide", key=f"{key}_decide")
     pick = st.pills(
@@ -150,30 +143,9 @@ def _fields(key: str, profile: CropProfile) -> dict[str, Any]:
         default=profile.pick,
         key=f"{key}_pick",
     )
+    sizes = {"minimum_diameter_mm": diameter_mm or None, "minimum_g": mass_g or None}
     rules = {"pick": pick, "size_rules": "decide" if decide else "remark"}
-    return {"edges_m": edges_m, "arcs": arcs, **smallest, **rules}
-
-
-def _edge_fields(key: str, profile: CropProfile) -> list[float]:
-    """Draw the lengths between the classes two abreast, and return them in metres."""
-    units = resources.settings().units
-    names = [class_words(c.name) for c in sorted(profile.classes, key=lambda c: c.min_cm)]
-    labels = [_("{name} from").format(name=name) for name in names]
-    labels.append(_("{name} below").format(name=names[-1]))
-    places = [place for _pair in labels[::2] for place in st.columns(2)]
-    edges_m = []
-    for number, (place, edge_m) in enumerate(zip(places, profile.edges_m.tolist(), strict=False)):
-        shown = units.value(edge_m) or 0.0
-        value = place.number_input(
-            sentence(f"{labels[number]} [{units.name}]"),
-            *page_elements.spanning(0.1, 200.0, shown),
-            0.5 if units.name == "cm" else 0.25,
-            format=f"%.{units.digits}f",
-            key=f"{key}_{number}_{units.name}",
-        )
-        # A limit that was not changed is not rounded as it is shown in inches.
-        edges_m.append(edge_m if value == shown else units.metres(float(value or 0.0)))
-    return edges_m
+    return {"edges_m": edges_m, "arcs": arcs, **sizes, **rules}
 
 
 def _preview(profile: CropProfile, changed: CropProfile) -> None:

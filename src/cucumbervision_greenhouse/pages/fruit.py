@@ -47,7 +47,7 @@ def show(walk: RoundView, key: str, listed: Sequence[FruitRow]) -> None:
     with right.container():
         _figures(walk, detail)
     with right.container():
-        _verdict(detail, following)
+        _verdict(walk, detail, following)
     with picture_side:
         _pictures(detail)
     _show_stops(walk, detail.view)
@@ -71,7 +71,7 @@ def _neighbours(
 
 
 def _head(walk: RoundView, key: str, listed: Sequence[FruitRow]) -> str | None:
-    """Draw the way to other fruit, and return the next one of the list."""
+    """Draw the way to other fruit, and return the next one of the list that nobody checked."""
     before, after = _neighbours(walk, key, listed)
     unsure = [view.key for view in least_sure_first(walk.fruit)]
     following = unsure.index(key) + 1 if key in unsure else 0
@@ -90,7 +90,10 @@ def _head(walk: RoundView, key: str, listed: Sequence[FruitRow]) -> str | None:
         ):
             how: dict[str, Any] = {"disabled": target is None, "key": f"{icon}_{key}"}
             page_elements.button(st, label, icon, go, target, shortcut=shortcut, **how)
-    return after
+    keys = [view.key for view in listed]
+    place = keys.index(key) + 1 if key in keys else 0
+    later = (*listed[place:], *listed[:place])
+    return next((x.key for x in later if x.verdict is None and x.key != key), None)
 
 
 def _figures(walk: RoundView, detail: DetectionDetail) -> None:
@@ -149,7 +152,7 @@ def figure_lines(record: FruitRow) -> list[dict[str, str]]:
     return lines
 
 
-def _verdict(detail: DetectionDetail, following: str | None) -> None:
+def _verdict(walk: RoundView, detail: DetectionDetail, following: str | None) -> None:
     key, verdict_before, store = detail.view.key, detail.view.verdict, resources.store()
     is_picked = detail.view.picked_s is not None
 
@@ -157,6 +160,8 @@ def _verdict(detail: DetectionDetail, following: str | None) -> None:
         page_elements.judge(detail.view.round_key, key, verdict)
         if verdict is not None and following is not None:  # reviewing goes on
             page_elements.name_in_address("fruit", following)
+        elif verdict is not None:
+            st.toast(_("All fruit of this list are checked."), icon=":material/done_all:")
 
     def pick() -> None:
         store.unpick([key]) if is_picked else store.pick([key])
@@ -174,9 +179,12 @@ def _verdict(detail: DetectionDetail, following: str | None) -> None:
                 )
             else:
                 page_elements.button(st, name, icon, mark, verdict, key=f"{verdict}_{key}", **how)
-    with st.container(horizontal=True):
         words, name = (_("Not picked"), "unpick") if is_picked else (_("Picked"), "pick")
         page_elements.button(st, words, "shopping_basket", pick, key=f"{name}_{key}", shortcut="P")
+    with st.container(horizontal=True, vertical_alignment="center"):
+        checked = sum(view.verdict is not None for view in walk.best)
+        words = _("{n} of {all} checked").format(n=checked, all=len(walk.best))
+        st.caption(words, width="stretch")
         page_elements.draw_undo(detail.view.round_key)
     address = f"/results?{urlencode(page_elements.here(fruit=key))}"
     with st.popover(_("Send a link to this fruit"), icon=":material/link:", width="stretch"):

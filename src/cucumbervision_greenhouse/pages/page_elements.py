@@ -89,14 +89,15 @@ def draw_undo(round_key: str) -> None:
     """Draw a button that undoes the viewer's last action, and the fault of the last correction."""
 
     def undo() -> None:
-        try:
-            action = tasks.undo(resources.store(), round_key)
-        except CucumberVisionError as error:
-            st.session_state["fault"] = words_of(error)
-        else:
-            st.toast(plain(taken_back(action)), icon=":material/undo:")
+        action = tasks.undo(resources.store(), round_key)
+        st.toast(plain(taken_back(action)), icon=":material/undo:")
 
-    button(st, _("Undo"), "undo", undo, shortcut="Z")
+    button(st, _("Undo"), "undo", do, undo, shortcut="Z")
+    draw_fault()
+
+
+def draw_fault() -> None:
+    """Draw the fault of the last correction, once."""
     if fault := st.session_state.pop("fault", None):
         st.warning(sentence(fault), icon=":material/error:")
 

@@ -156,69 +156,56 @@ def _choose_house() -> None:
     st.session_state["new_house"] = st.session_state["known_house"] or ""
 
 
-def _change(round_summary: Round | None) -> None:
+def _change(walk: Round | None) -> None:
     if fault := st.session_state.pop("round_fault", None):
         st.warning(sentence(fault), icon=":material/error:")
-    if round_summary is not None:
-        title = _(resources.profile_of(round_summary)[1].title)
+    if walk is not None:
+        title = _(resources.profile_of(walk)[1].title)
         st.caption(plain(_("Crop: {title}").format(title=title)))
-        _forget_old(f"name_{round_summary.key}", round_summary.name)
-        name = st.text_input(
-            _("Name of this round"), round_summary.name, key=f"name_{round_summary.key}"
-        )
-        st.button(
-            _("Rename"),
-            width="stretch",
-            on_click=_do,
-            args=(partial(_rename, round_summary.name), round_summary.key),
-            disabled=not name.strip(),
-        )
-        _house(round_summary)
-        st.button(
-            _("Delete this round"),
-            icon=":material/delete:",
-            width="stretch",
-            on_click=_do,
-            args=(_delete, round_summary.key),
-        )
+        field = f"name_{walk.key}_{walk.name}"  # a new field where somebody renamed it
+        name = st.text_input(_("Name of this round"), walk.name, key=field)
+        _button(_("Rename"), partial(_rename, walk, field), disabled=not name.strip())
+        _house(walk)
+        _button(_("Delete this round"), partial(_delete, walk.key), icon=":material/delete:")
     for gone in resources.store().rounds(deleted=True):
-        st.button(
-            _("Restore: {round}").format(round=plain(round_name(gone))),
-            icon=":material/undo:",
-            width="stretch",
-            key=f"back_{gone.key}",
-            on_click=_do,
-            args=(_bring_back, gone.key),
+        words = _("Restore: {round}").format(round=plain(round_name(gone)))
+        _button(
+            words, partial(_bring_back, gone.key), icon=":material/undo:", key=f"back_{gone.key}"
         )
 
 
-def _forget_old(field: str, saved: str) -> None:
-    """Forget what a field holds once another name was saved: it would offer the old one."""
-    if st.session_state.get(f"{field}_saved", saved) != saved:
-        st.session_state.pop(field, None)
-    st.session_state[f"{field}_saved"] = saved
+def _button(label: str, act: Callable[[], None], **how: Any) -> None:
+    """Draw a button that changes a round and closes the popover, or shows the fault in it."""
+
+    def do() -> None:
+        try:
+            act()
+        except CucumberVisionError as error:
+            st.session_state["round_fault"] = words_of(error)
+        else:
+            _close(_CHANGING)
+
+    st.button(label, width="stretch", on_click=do, **how)
 
 
-def _house(round_summary: Round) -> None:
+def _house(walk: Round) -> None:
     """Draw the house of a round: the round moves, or the house gets another name or is merged."""
-    key, house = round_summary.key, round_summary.house
-    _forget_old(f"house_{key}", house)
-    typed = " ".join(st.text_input(_("House"), house, key=f"house_{key}").split())
+    key, house = walk.key, walk.house
+    field = st.text_input(_("House"), house, key=f"house_{key}_{house}")
+    typed = " ".join(field.split())
     if typed == house:
         return
     rounds = resources.rounds()
     houses = resources.houses(rounds)
     of_house = [x.key for x in rounds if x.house == house]
     same_name = same_house(typed, [name for name in houses if name != house])
-    merged = same_name in houses
     words = _("Rename the house")
-    if merged:
+    if same_name in houses:
         words = _("Merge the house with '{house}'").format(house=same_name)
     words = f"{plain(words)} ({counted(len(of_house), '{n} round', '{n} rounds')})"
-    for label, keys in ((_("Move this round"), [key]), (words, of_house)):
-        if house or keys == [key]:  # rounds without a house are not of one house
-            act = partial(_move, keys, house)
-            st.button(label, width="stretch", on_click=_do, args=(act, typed))
+    _button(_("Move this round"), partial(_move, [key], house, typed))
+    if house:  # rounds without a house are not of one house
+        _button(words, partial(_move, of_house, house, typed))
 
 
 def _move(keys: list[str], seen: str, house: str) -> None:
@@ -226,19 +213,10 @@ def _move(keys: list[str], seen: str, house: str) -> None:
         tasks.merge(key)  # linked to the other rounds of its house now
 
 
-def _do(act: Callable[[str], None], key: str) -> None:
-    try:
-        act(key)
-    except CucumberVisionError as error:
-        st.session_state["round_fault"] = words_of(error)
-    else:
-        _close(_CHANGING)
-
-
-def _rename(seen: str, key: str) -> None:
+def _rename(walk: Round, field: str) -> None:
     # Read the field's current value, which may have changed since it was drawn.
-    if name := st.session_state[f"name_{key}"].strip():
-        resources.store().rename_round(key, name, seen)
+    if name := st.session_state[field].strip():
+        resources.store().rename_round(walk.key, name, walk.name)
 
 
 def _delete(key: str) -> None:

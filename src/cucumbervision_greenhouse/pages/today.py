@@ -220,7 +220,7 @@ def _lines(walk: RoundView, picks: Sequence[Pick], picked: set[str]) -> list[dic
             f"{texts.position_words(view.along_m, units)} {texts.side_words(view.side)}".strip(),
             texts.today_words(view, walk.today_m.get(view.key), units),
             texts.pick_words(pick),
-            texts.height_words(view, units),
+            texts.height_words(view),
             _("computer-made") if view.simulated else "",
         ]
         picture, is_picked = round_view.thumbnail_of(view), _is_picked(pick, picked)

@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("streamlit")
 
 from streamlit.testing.v1 import AppTest
-from tests.greenhouse.pages.app_pages import PAGES, WALK, app, said, tap, wait_for_jobs
+from tests.greenhouse.pages.app_pages import PAGES, WALK, app, field, said, tap, wait_for_jobs
 
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
@@ -39,7 +39,7 @@ def test_a_round_is_renamed_deleted_and_brought_back(house: Path) -> None:
             return [one.name for one in store.rounds()]
 
     test = app("results", round=WALK)
-    test.text_input(key=f"name_{WALK}").set_value("Evening").run()
+    field(test, "text_input", "Name of this round").set_value("Evening").run()
     tap(test, "Rename")
     assert rounds() == ["Evening"]
     tap(test, "Delete this round")
@@ -56,23 +56,23 @@ def test_the_names_that_another_viewer_gives_are_shown(house: Path) -> None:
         store.rename_round(WALK, "Evening")
         store.move_rounds([WALK], "North")
     test.run()
-    fields = {field: test.text_input(key=f"{field}_{WALK}") for field in ("name", "house")}
-    assert [field.value for field in fields.values()] == ["Evening", "North"]
+    fields = [field(test, "text_input", name) for name in ("Name of this round", "House")]
+    assert [one.value for one in fields] == ["Evening", "North"]
     assert not [button for button in test.button if "house" in button.label]
-    fields["house"].set_value("South").run()
-    assert test.text_input(key=f"house_{WALK}").value == "South"
+    fields[1].set_value("South").run()
+    assert field(test, "text_input", "House").value == "South"
 
 
 def test_a_name_that_another_viewer_has_changed_meanwhile_is_not_overwritten(house: Path) -> None:
     first, second = app("results", round=WALK), app("results", round=WALK)
     for test, name in ((second, "Evening"), (first, "Noon")):
-        test.text_input(key=f"name_{WALK}").set_value(name).run()
+        field(test, "text_input", "Name of this round").set_value(name).run()
     tap(first, "Rename")
     tap(second, "Rename")
     assert "changed it meanwhile" in said(second)
-    assert second.text_input(key=f"name_{WALK}").value == "Noon"
+    assert field(second, "text_input", "Name of this round").value == "Noon"
     for test, name in ((second, "South"), (first, "North")):
-        test.text_input(key=f"house_{WALK}").set_value(name).run()
+        field(test, "text_input", "House").set_value(name).run()
     tap(first, "Rename the house (1 round)")
     tap(second, "Rename the house (1 round)")
     assert "changed it meanwhile" in said(second)
@@ -185,11 +185,11 @@ def test_a_house_is_renamed_and_merged_on_the_page(house: Path) -> None:
             return sorted(x.house for x in store.rounds())
 
     test = app("today", round=WALK, changing_round_0=True)
-    test.text_input(key=f"house_{WALK}").input("South").run()
+    field(test, "text_input", "House").input("South").run()
     tap(test, "Rename the house (1 round)")
     assert houses() == ["North", "South"]
     test = app("today", round=WALK, changing_round_0=True)
-    test.text_input(key=f"house_{WALK}").input("north").run()
+    field(test, "text_input", "House").input("north").run()
     tap(test, "Merge the house with 'North' (1 round)")
     assert houses() == ["North", "North"]
     wait_for_jobs()

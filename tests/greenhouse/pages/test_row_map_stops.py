@@ -56,7 +56,7 @@ def test_what_was_typed_just_before_the_tap_is_saved(house: Path) -> None:
     field(test, "text_input", "Row").set_value("12")
     field(test, "text_input", "Name").set_value("long leaf")
     tap(test, "Save")
-    test.text_input(key=f"name_{WALK}").set_value("Evening")
+    field(test, "text_input", "Name of this round").set_value("Evening")
     tap(test, "Rename")
     with open_store(house) as store:
         now = store.stops(WALK)[0]

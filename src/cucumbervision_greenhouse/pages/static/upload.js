@@ -60,7 +60,8 @@ export default function (component) {
     own.files = [...files].filter((file) => !isRecording(file) && isPart(file));
     const names = (which) => [...files].filter(which).map(named).join(", ");
     const recordings = names(isRecording), ignored = names((file) => !isRecording(file) && !isPart(file));
-    const besides = (recordings && fill(_(" Recordings are not sent; 'cucumbervision round add' reads them where they lie: {names}."), { names: recordings }))
+    const besides = ([...files].some((file) => /\.hei[cf]$/i.test(file.name)) ? _(" HEIC pictures are not read: set the phone to 'Most compatible' (JPEG).") : "")
+      + (recordings && fill(_(" Recordings are not sent; 'cucumbervision round add' reads them where they lie: {names}."), { names: recordings }))
       + (ignored && fill(_(" Not sent, since no part of a capture: {names}."), { names: ignored }));
     const all = own.files.reduce((sum, file) => sum + file.size, 0), most = data.limit_mb * 1e6;
     const tooMany = own.files.length > data.limit_files, sizes = { all: mb(all), most: mb(most), n: own.files.length, limit: data.limit_files };

@@ -111,10 +111,10 @@ def sheet(drawn: Mapping[str, str]) -> str:
     parts, top, widest = [], 0, 0
     for title, svg in drawn.items():
         width, height = map(int, svg.split('viewBox="')[1].split('"')[0].split()[2:])
-        at = f'y="{top + 60}" width="{width}" height="{height}"'
+        place = f'y="{top + 60}" width="{width}" height="{height}"'
         parts += [
             f'<text y="{top + 50}">{escape(title)}</text>',
-            svg.replace("<svg", f"<svg {at}", 1),
+            svg.replace("<svg", f"<svg {place}", 1),
         ]
         top, widest = top + height + 100, max(widest, width)
     box = f'xmlns="http://www.w3.org/2000/svg" class="row" viewBox="0 0 {widest} {top}"'
@@ -134,7 +134,7 @@ def _side(
     _move_apart(tubes)
     places_m = (x.position_m if x.fitted_m is None else x.fitted_m for x in stops)
     walked = sorted(1000 * at_m for at_m in places_m if at_m is not None)
-    points = [*tubes[..., :2].reshape(-1, 2), *((at, 0.0) for at in walked)]
+    points = [*tubes[..., :2].reshape(-1, 2), *((stop_x, 0.0) for stop_x in walked)]
     x0, top = (np.min(points, axis=0) - _EDGE_MM).round().astype(int).tolist()
     x1, bottom = (np.max(points, axis=0) + _EDGE_MM).round().astype(int).tolist()
     hatches: dict[str, str] = {}
@@ -187,13 +187,13 @@ def _ground(walked: Sequence[float], box: Box) -> str:
     """Draw the plants, and hatch what no stop shows."""
     x0, top, x1, bottom = box
     drawn = [(x0, x1, "plants", "")]
-    for at, after in pairwise(walked):
-        if after - at > 2 * _REACH_MM:
-            drawn.append((at + _REACH_MM, after - _REACH_MM, "gap", _("not walked")))
+    for before, after in pairwise(walked):
+        if after - before > 2 * _REACH_MM:
+            drawn.append((before + _REACH_MM, after - _REACH_MM, "gap", _("not walked")))
     return "".join(
-        f'<path fill="url(#{fill})" d="M{low:.0f} {top:.0f}H{high:.0f}V{bottom:.0f}H{low:.0f}Z"/>'
-        f'<text x="{(low + high) / 2:.0f}" y="{top + 50:.0f}" text-anchor="middle">{words}</text>'
-        for low, high, fill, words in drawn
+        f'<path fill="url(#{fill})" d="M{x1:.0f} {top:.0f}H{x2:.0f}V{bottom:.0f}H{x1:.0f}Z"/>'
+        f'<text x="{(x1 + x2) / 2:.0f}" y="{top + 50:.0f}" text-anchor="middle">{words}</text>'
+        for x1, x2, fill, words in drawn
     )
 
 
@@ -233,8 +233,8 @@ def _fruit(
         by_height = axes[k, np.argsort(axes[k, :, 1])].round().tolist()
         (stalk_x, stalk_y), (x, y) = by_height[0], by_height[-1]
         y += _TEXT_MM + 10
-        near = [y2 for x2, y2 in labels if abs(x - x2) < 3 * _TEXT_MM]
-        while any(abs(y - y2) < _TEXT_MM for y2 in near):
+        neighbours = [y2 for x2, y2 in labels if abs(x - x2) < 3 * _TEXT_MM]
+        while any(abs(y - y2) < _TEXT_MM for y2 in neighbours):
             y += 6
         labels.append((x, y))
         length = number_words(units.value(view.length_m) or 0.0, units.digits)
@@ -292,6 +292,6 @@ def _form(view: FruitRow, graded: Grade, hatches: dict[str, str]) -> tuple[str, 
 
 def _line(points: Floats) -> str:
     """Return a path of an SVG through points, each after the first by its step, which is short."""
-    whole = points.round().astype(int)
-    steps = np.concatenate([whole[:1], np.diff(whole, axis=0)]).ravel().tolist()
+    pixels = points.round().astype(int)
+    steps = np.concatenate([pixels[:1], np.diff(pixels, axis=0)]).ravel().tolist()
     return "m" + " ".join(map(str, steps))

@@ -107,9 +107,11 @@ def _fields(key: str, profile: CropProfile) -> dict[str, Any]:
     """Draw the limits of a profile as fields, and return what they hold, for `with_limits`."""
     units = resources.settings().units
 
-    def number(place: Any, label: str, low: float, high: float, value: float, step: float) -> float:
+    def number(
+        place: Any, label: str, least: float, most: float, value: float, step: float
+    ) -> float:
         digits = max(-math.floor(math.log10(step)), 0)
-        span = page_elements.spanning(low, high, value)
+        span = page_elements.spanning(least, most, value)
         how = {"format": f"%.{digits}f", "key": f"{key}_{label}"}
         return float(place.number_input(sentence(label), *span, step, **how))
 
@@ -130,9 +132,9 @@ def _fields(key: str, profile: CropProfile) -> dict[str, Any]:
         if band.max_mm_per_10cm is not None
     ]
     thinnest, lightest = _("Thinnest [mm]; 0: no limit"), _("Lightest [g]; 0: no limit")
-    left, right = st.columns(2)
-    diameter_mm = number(left, thinnest, 0.0, 200.0, profile.minimum_diameter_mm or 0.0, 1.0)
-    mass_g = number(right, lightest, 0.0, 5000.0, profile.minimum_g or 0.0, 10.0)
+    first, second = st.columns(2)
+    diameter_mm = number(first, thinnest, 0.0, 200.0, profile.minimum_diameter_mm or 0.0, 1.0)
+    mass_g = number(second, lightest, 0.0, 5000.0, profile.minimum_g or 0.0, 10.0)
     words = _("Thickness and weight decide on the class")
     decide = st.toggle(words, profile.size_rules == "decide", key=f"{key}_decide")
     pick = st.pills(

@@ -402,7 +402,7 @@ def point_cloud(capture: Capture, record: FruitRow) -> pydeck.Deck | None:
     slab = np.abs(capture.depth_m - np.median(capture.depth_m[inside])) < _SLAB_M
     around[window] = (readings & slab & ~mask)[window]
     points, colors = _sample(capture, inside, _POINTS)
-    near, near_colors = _sample(capture, around, _POINTS // 3)
+    surroundings, pale = _sample(capture, around, _POINTS // 3)
     middle = np.median(points, axis=0)
 
     def at_mm(place_m: Any) -> list[Any]:
@@ -415,11 +415,11 @@ def point_cloud(capture: Capture, record: FruitRow) -> pydeck.Deck | None:
     # Readings at the outline that lie far behind would make the fruit small.
     reach_mm = np.percentile(np.abs(at_mm(points)), _MOST_PERCENT, axis=0).tolist()
     lines.append(([[x, -reach_mm[1] - 15, 0.0] for x in (-25.0, 25.0)], _AXIS_COLOR, 2.0))
-    places = [(points, colors), (near, near_colors // 2 + 90)]
+    places = [(points, colors), (surroundings, pale // 2 + 90)]
     dots = [
-        {"at": at, "color": color}
-        for at_m, of in places
-        for at, color in zip(at_mm(at_m), of.tolist(), strict=True)
+        {"at": place, "color": color}
+        for at_m, colors in places
+        for place, color in zip(at_mm(at_m), colors.tolist(), strict=True)
     ]
     ends = {name: [getattr(record, f"{name}_{axis}_m") for axis in "xyz"] for name in _ENDS}
     marks = [

@@ -98,17 +98,17 @@ def _place(round_summary: Round) -> NextPlace:
     typed = st.query_params.get("row", next_place(stops).row)[:LONGEST_NAME]
     named = row.text_input(_("Row"), max_chars=LONGEST_NAME, **field("row", typed)).strip()
     of_row = [stop for stop in stops if (stop.row or "") == named]
-    at = next_place(of_row) if of_row else NextPlace(named)
+    usual = next_place(of_row) if of_row else NextPlace(named)
     try:
         named = checked_name(named, "row")
     except NameRefusedError as error:
         st.warning(sentence(error), icon=":material/error:")
         named = ""
     at_words, step_words = _("First at [{unit}]"), _("Step [{unit}]")
-    side_of = field(f"side{named}", at.side if at.side in sides else sides[0])
-    first = field(f"at{named}", at.position_m * per_metre)
-    stride = field(f"step{named}", at.step_m * per_metre)
-    walking = field(f"way{named}", "down" if at.back else "up")
+    side_of = field(f"side{named}", usual.side if usual.side in sides else sides[0])
+    first = field(f"at{named}", usual.position_m * per_metre)
+    stride = field(f"step{named}", usual.step_m * per_metre)
+    walking = field(f"way{named}", "down" if usual.back else "up")
     how: dict[str, Any] = {"required": True, "width": "stretch"}
     return NextPlace(
         named,

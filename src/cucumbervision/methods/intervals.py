@@ -204,6 +204,7 @@ def _normal_quantile(level: float) -> float:
     return float(ndtri(0.5 + level / 2))
 
 
+_MOST_DIAMETERS = 9.0  # of slender fruit: real ones have 5 to 8.3, a piece shows less of the girth
 _STEEP_DEG = 35.0
 _LEAST_MEASURED = 0.1  # minimum measured share of a fruit's length, by the evaluation of its ends
 
@@ -246,6 +247,7 @@ def tube_features(measurement: Measurement) -> dict[str, float]:
         "closed": 1.0 - min(fit.ends_open),
         "flare": float(np.log(widest / np.median(fit.traits.diameter_m))),
         "girth": DRAWN_KINDS.excess_sd(tube.centreline_m, widest),
+        "diameter_m": widest,
         **raw_features(tube.centreline_m, distance, fit.fill),
         **({} if fit.looks is None else look_features(fit.looks)),
     }
@@ -389,13 +391,27 @@ class IntervalModels:
             From `measurement.interval_features`.
         more_sd : float
             As in `IntervalModel.interval`.
+
+        Examples
+        --------
+        What goes on out of sight may be a piece of a fruit of nine diameters:
+
+        >>> spread = Trees(np.log(0.01))
+        >>> model = IntervalModel("M6", 0.9, (), spread, spread, {"": Band(2.0, 2.0, 500)})
+        >>> models = IntervalModels(0.9, {"M6": model}, 500)
+        >>> piece = {"goes_on": 1.0, "diameter_m": 0.025}
+        >>> [round(x, 3) for x in models.interval("M6", 0.08, piece)]
+        [0.078, 0.225]
         """
         perceived = key + PERCEIVED if features.get("perceived") else key
         looked = self.models.get(perceived + LOOKED) if features.get("looked") else None
         model = looked or self.models.get(perceived) or self.models.get(key)
         if model is None:
             return None
-        return model.interval(length_m, features, more_sd)
+        low_m, high_m = model.interval(length_m, features, more_sd)
+        # A piece of a fruit says little about the rest of it.
+        whole_m = _MOST_DIAMETERS * features.get("goes_on", 0.0) * features.get("diameter_m", 0.0)
+        return low_m, max(high_m, whole_m)
 
 
 def read_interval_models(path: Path) -> IntervalModels:

@@ -408,15 +408,14 @@ def _coverage(view: _View, shape: TubeShape) -> tuple[float, float, float]:
     # is the overlap of tube and mask where no nearer object hides the tube.
     met = gaps(shape, view.grid_rays, rays=True)
     inside = met.gap_m < 0
-    fruit_mask = view.grid_mask
-    common = int((inside & fruit_mask).sum())
+    common = int((inside & view.grid_mask).sum())
     nearer = (view.grid_depth_m > 0) & (view.grid_depth_m < met.centres_m[:, 2])
-    covered = int((inside & ~fruit_mask & nearer).sum())
+    covered = int((inside & ~view.grid_mask & nearer).sum())
     # If most depth is missing, a ray without a reading may be covered.
-    unread = int((inside & ~fruit_mask & (view.grid_depth_m <= 0)).sum()) if view.is_sparse else 0
-    either = int((inside | fruit_mask).sum()) - covered - unread
+    unread = view.is_sparse * int((inside & ~view.grid_mask & (view.grid_depth_m <= 0)).sum())
+    either = int((inside | view.grid_mask).sum()) - covered - unread
     return (
-        common / max(int(fruit_mask.sum()), 1),
+        common / max(int(view.grid_mask.sum()), 1),
         covered / max(int(inside.sum()), 1),
         common / max(either, 1),
     )
@@ -431,12 +430,9 @@ def _on_surface(view: _View, fitting: TubeFitting) -> float:
 
 
 def _end_on(axis_m: NDArray[np.float64]) -> bool:
-    for tip, inner in ((0, 1), (-1, -2)):
-        step = axis_m[tip] - axis_m[inner]
-        view = axis_m[tip] / np.linalg.norm(axis_m[tip])
-        if float(step @ view) > np.sin(np.deg2rad(_END_ON_DEG)) * float(np.linalg.norm(step)):
-            return True
-    return False
+    tips, steps = axis_m[[0, -1]], axis_m[[0, -1]] - axis_m[[1, -2]]
+    most = np.linalg.norm(tips, axis=1) * np.linalg.norm(steps, axis=1)
+    return bool(((steps * tips).sum(axis=1) > np.sin(np.deg2rad(_END_ON_DEG)) * most).any())
 
 
 def _measure(region: Region) -> Measurement:

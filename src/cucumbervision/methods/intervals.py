@@ -20,8 +20,7 @@ from cucumbervision.methods.result import IntervalBasis, Length, LengthDefinitio
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from numpy.typing import NDArray
-
+    from cucumbervision.arrays import Array, Ints
     from cucumbervision.fruit.crops import EndLook
     from cucumbervision.methods.result import Measurement
 
@@ -54,7 +53,7 @@ class Trees:
     limits: tuple[tuple[float, float, float], ...] = ()
     leaves: tuple[tuple[float, float, float, float], ...] = ()
 
-    def value(self, row: NDArray[np.float64]) -> float:
+    def value(self, row: Array) -> float:
         """Return the sum for one row of features, float64 of shape (F,)."""
         features, limits, leaves = self._arrays
         if not len(features):
@@ -64,7 +63,7 @@ class Trees:
         return self.start + float(leaves[np.arange(len(leaves)), 2 * above[:, 0] + second].sum())
 
     @cached_property
-    def _arrays(self) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.float64]]:
+    def _arrays(self) -> tuple[Ints, Array, Array]:
         return np.array(self.features, np.intp), np.array(self.limits), np.array(self.leaves)
 
 
@@ -179,7 +178,7 @@ class IntervalModel:
         return length_m * float(np.exp(missing - long)), length_m * float(np.exp(missing + short))
 
 
-def spread(trees: Trees, row: NDArray[np.float64]) -> float:
+def spread(trees: Trees, row: Array) -> float:
     """Return what trees of logarithms spread an interval by to their side, within its limits."""
     return float(min(max(np.exp(trees.value(row)), LEAST_SPREAD), LARGEST_SPREAD))
 

@@ -14,7 +14,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
+
+    from cucumbervision.arrays import Array, Mask
 
 ALONG, UP, DEPTH = 0, 1, 2
 """Columns of positions in a row: along it, upwards, and into it."""
@@ -55,7 +57,7 @@ class Crowd:
     diameter_width: float
 
 
-def log_density(gap: ArrayLike, variance: ArrayLike) -> NDArray[np.float64]:
+def log_density(gap: ArrayLike, variance: ArrayLike) -> Array:
     """Return the log density of a gap under a normal distribution with heavy tails.
 
     Parameters
@@ -75,9 +77,7 @@ def log_density(gap: ArrayLike, variance: ArrayLike) -> NDArray[np.float64]:
     return np.asarray(np.log(np.maximum(core + tail, 1e-300)) - 0.5 * np.log(2 * np.pi * spread))
 
 
-def position_ratio(
-    gap_m: NDArray[np.float64], variance_m2: NDArray[np.float64], crowd: Crowd
-) -> NDArray[np.float64]:
+def position_ratio(gap_m: Array, variance_m2: Array, crowd: Crowd) -> Array:
     """Return the log likelihood ratio of positions: same fruit against other fruit.
 
     Parameters
@@ -101,9 +101,7 @@ def position_ratio(
     return np.asarray(density + np.log(crowd.up_m * crowd.depth_m / crowd.per_m), np.float64)
 
 
-def pooled_length(
-    length_m: NDArray[np.float64], length_sd: NDArray[np.float64], partial: NDArray[np.bool_]
-) -> tuple[float, float] | None:
+def pooled_length(length_m: Array, length_sd: Array, partial: Mask) -> tuple[float, float] | None:
     """Return the combined length of all whole views of a fruit, and its standard deviation.
 
     Logarithms are weighted by the inverse variance. Views of one camera share errors, so that half

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,8 +19,7 @@ from cucumbervision.tube.shape import (
 )
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from cucumbervision.arrays import Array, Array32, Mask, Numbers
     from cucumbervision.capture.intrinsics import Intrinsics
 
 
@@ -29,9 +28,7 @@ _SAMPLES = 13
 M1_WINDOW_PX = 11
 
 
-def measure_m1(
-    depth_m: NDArray[np.float32], box: NDArray[Any], intrinsics: Intrinsics
-) -> Measurement:
+def measure_m1(depth_m: Array32, box: Numbers, intrinsics: Intrinsics) -> Measurement:
     """Measure a fruit by three scan lines along the longer side of its box.
 
     Lines at 1/4, 1/2 and 3/4 of the width, 13 samples each from end to end, each the median of
@@ -91,7 +88,7 @@ def measure_m1(
     return Measurement(MethodName.M1, length, LengthKind.BOX_CHORD, path_m=path)
 
 
-def reference_depth(depth_m: NDArray[np.float32], box: NDArray[Any]) -> float | None:
+def reference_depth(depth_m: Array32, box: Numbers) -> float | None:
     """Return the median depth of a box's middle ninth, metres, or None without a reading.
 
     Parameters
@@ -109,7 +106,7 @@ def reference_depth(depth_m: NDArray[np.float32], box: NDArray[Any]) -> float | 
     return float(np.median(readings)) if len(readings) else None
 
 
-def sample_grid(box: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def sample_grid(box: Numbers) -> tuple[Array, Array]:
     """Return the pixels u and v of a box's samples, each of shape (lines, samples).
 
     Parameters
@@ -135,12 +132,8 @@ def sample_grid(box: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.floa
 
 
 def window_depths(
-    depth_m: NDArray[np.float32],
-    u_px: NDArray[np.float64],
-    v_px: NDArray[np.float64],
-    window_px: int,
-    mask: NDArray[np.bool_] | None = None,
-) -> NDArray[np.float64]:
+    depth_m: Array32, u_px: Array, v_px: Array, window_px: int, mask: Mask | None = None
+) -> Array:
     """Return the median of the valid readings in a square window around each position.
 
     Parameters
@@ -198,7 +191,7 @@ M1 = TableMethod(
 )
 
 
-def measure_m2(box_points_m: NDArray[Any]) -> Measurement:
+def measure_m2(box_points_m: Numbers) -> Measurement:
     """Measure a fruit by the spread of its box's points along their principal axis.
 
     Parameters
@@ -261,7 +254,7 @@ def _principal_chord(cloud: AlignedCloud, method: MethodName) -> Measurement:
 _M3_POINTS = 50
 
 
-def measure_m3(mask_points_m: NDArray[Any], cloud: AlignedCloud | None = None) -> Measurement:
+def measure_m3(mask_points_m: Numbers, cloud: AlignedCloud | None = None) -> Measurement:
     """Measure a fruit by the spread of its mask's points along their principal axis.
 
     Parameters
@@ -341,10 +334,7 @@ _POLYLINE_FROM = 4
 
 
 def measure_m4(
-    depth_m: NDArray[np.float32],
-    mask: NDArray[np.bool_] | None,
-    keypoints: NDArray[np.float64] | None,
-    intrinsics: Intrinsics,
+    depth_m: Array32, mask: Mask | None, keypoints: Array | None, intrinsics: Intrinsics
 ) -> Measurement:
     """Measure a fruit through its five landmarks, blossom end to stem end.
 
@@ -430,7 +420,7 @@ _MIN_BINS = 2
 _RANGE_M = (0.05, 0.80)
 
 
-def measure_m5(mask_points_m: NDArray[Any], aligned: AlignedCloud | None = None) -> Measurement:
+def measure_m5(mask_points_m: Numbers, aligned: AlignedCloud | None = None) -> Measurement:
     """Measure a fruit along a cubic spline through the centroids of its cross-sections.
 
     The gate |z - median z| <= 3.5 cm; at least 100 points; first principal axis; 25 equal bins,

@@ -15,8 +15,7 @@ from cucumbervision.tube.fit import END_SHARE
 from cucumbervision.tube.shape import arc_positions, points_along
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from cucumbervision.arrays import Array
     from cucumbervision.capture.frames import Capture
     from cucumbervision.fruit.instance import Instance
     from cucumbervision.methods.result import Measurement, TubeFit
@@ -95,7 +94,7 @@ def _sure(log_odds: float) -> float:
     return float(expit(abs(log_odds)))
 
 
-def _keypoint_odds(ends_m: NDArray[np.float64], instance: Instance, capture: Capture) -> float:
+def _keypoint_odds(ends_m: Array, instance: Instance, capture: Capture) -> float:
     """Return the log-odds, from the keypoints, that the first of two ends is the stem end."""
     points = instance.keypoints
     if points is None or (ends_m[:, 2] <= 0).any():
@@ -109,7 +108,7 @@ def _keypoint_odds(ends_m: NDArray[np.float64], instance: Instance, capture: Cap
     return float(np.sign(swapped - as_is) * np.log(sure / (1 - sure)))
 
 
-def _gravity_odds(ends_m: NDArray[np.float64], capture: Capture) -> float:
+def _gravity_odds(ends_m: Array, capture: Capture) -> float:
     """Return the same log-odds from gravity, near 0 for a horizontal fruit."""
     if capture.gravity is None:
         return 0.0
@@ -201,12 +200,8 @@ def fruit_pose(
 
 
 def _cut_covariance(
-    end: NDArray[np.float64],
-    cut_m: NDArray[np.float64],
-    direction: NDArray[np.float64],
-    beyond_m: float,
-    scale_sd: float,
-) -> NDArray[np.float64]:
+    end: Array, cut_m: Array, direction: Array, beyond_m: float, scale_sd: float
+) -> Array:
     """Return the covariance of a point on the extension beyond an end.
 
     The sum of the fitted covariance of the end and its direction, the variation of the end's shape
@@ -222,7 +217,7 @@ def _cut_covariance(
     return (covariance + covariance.T) / 2
 
 
-def _is_behind(point_m: NDArray[np.float64], capture: Capture) -> bool:
+def _is_behind(point_m: Array, capture: Capture) -> bool:
     """Return whether an object is in front of a point."""
     if point_m[2] <= 0:
         return False

@@ -34,8 +34,7 @@ from cucumbervision.threads import OneThread
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from numpy.typing import NDArray
-
+    from cucumbervision.arrays import Array, Mask
     from cucumbervision.capture.frames import Capture
     from cucumbervision.fruit.instance import Instance
     from cucumbervision.methods.table import Method
@@ -47,9 +46,7 @@ _IN_SIGHT = 0.40
 _BEYOND = 0.10  # of the fruit's length: several times the error of a pose network at an end
 
 
-def end_doubts(
-    mask: NDArray[np.bool_] | None, keypoints: NDArray[np.float64] | None
-) -> tuple[bool, bool, bool]:
+def end_doubts(mask: Mask | None, keypoints: Array | None) -> tuple[bool, bool, bool]:
     """Return whether the blossom end and the stem end are hidden, and keypoints and mask disagree.
 
     An end is hidden if its keypoint has a visibility below 0.40, or lies more than 10 % of the
@@ -81,7 +78,7 @@ def end_doubts(
     return blossom, stem, max(reaches) > _BEYOND
 
 
-def _reaches(mask: NDArray[np.bool_] | None, line: NDArray[np.float64]) -> list[float]:
+def _reaches(mask: Mask | None, line: Array) -> list[float]:
     """Return how far the mask extends beyond each end's keypoint, relative to the line."""
     steps = np.linalg.norm(np.diff(line, axis=0), axis=1)
     pixels = np.empty((0, 2)) if mask is None else mask_pixels(mask)
@@ -116,7 +113,7 @@ _LEAST_FILL = 0.1  # share of a fruit's pixels with a reading: with fewer, lengt
 def choose(
     measurements: Mapping[str, Measurement],
     mask_points: int | None,
-    box: NDArray[np.float64],
+    box: Array,
     selector: Selector = Selector.BEST,
     methods: Iterable[Method] = (),
 ) -> tuple[Measurement | None, Choice, tuple[str, ...]]:
@@ -310,7 +307,7 @@ def measure_fruit(
 def _flags(
     capture: Capture,
     instance: Instance,
-    mask: NDArray[np.bool_] | None,
+    mask: Mask | None,
     chosen: Measurement | None,
     stem_confidence: float,
     by_keypoints: Mapping[Flag, bool],
@@ -380,7 +377,7 @@ def _length(chosen: Measurement, definition: LengthDefinition) -> Length | None:
 
 def _mask_to_measure(
     instance: Instance, selector: Selector
-) -> tuple[NDArray[np.bool_] | None, MaskSource | None, list[Flag]]:
+) -> tuple[Mask | None, MaskSource | None, list[Flag]]:
     flags = [Flag(f"sam-{instance.mask_failure}")] if instance.mask_failure else []
     if instance.mask is not None:
         return instance.mask, instance.mask_source, flags
@@ -390,9 +387,7 @@ def _mask_to_measure(
     return None, None, flags
 
 
-def cut_by_frame(
-    box: NDArray[np.float64], mask: NDArray[np.bool_] | None, width: int, height: int
-) -> bool:
+def cut_by_frame(box: Array, mask: Mask | None, width: int, height: int) -> bool:
     """Return whether a fruit's mask, or its box without one, reaches the picture's edge."""
     if mask is not None:
         edges = (mask[0], mask[-1], mask[:, 0], mask[:, -1])
@@ -405,9 +400,7 @@ def cut_by_frame(
     )
 
 
-def _depth_of(
-    capture: Capture, box: NDArray[np.float64], mask: NDArray[np.bool_] | None
-) -> tuple[float | None, float | None]:
+def _depth_of(capture: Capture, box: Array, mask: Mask | None) -> tuple[float | None, float | None]:
     """Return the median depth of the mask (or box), metres, and the share of valid readings."""
     if mask is None:
         x1, y1, x2, y2 = box_pixels(box, capture.depth_m.shape)
@@ -502,7 +495,7 @@ def _looked_at(
     return fruit.flagged(*doubtful)
 
 
-def end_flag(outward_px: NDArray[np.float64]) -> Flag:
+def end_flag(outward_px: Array) -> Flag:
     """Return the flag of a doubtful end by its outward direction in the picture.
 
     Examples

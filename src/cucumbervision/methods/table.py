@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -19,8 +19,7 @@ from cucumbervision.tube.shape import AlignedCloud, align_near
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-    from numpy.typing import NDArray
-
+    from cucumbervision.arrays import Array, Array32, Mask, Numbers
     from cucumbervision.capture.frames import Capture
     from cucumbervision.capture.intrinsics import Intrinsics
     from cucumbervision.methods.result import Fruit, TraitValue
@@ -29,9 +28,7 @@ if TYPE_CHECKING:
 _STRIDE = 2  # pixels, of a box
 
 
-def masked_points(
-    depth_m: NDArray[np.float32], mask: NDArray[np.bool_], intrinsics: Intrinsics
-) -> NDArray[np.float64]:
+def masked_points(depth_m: Array32, mask: Mask, intrinsics: Intrinsics) -> Array:
     """Deproject every pixel of a mask that has a valid reading.
 
     Parameters
@@ -66,9 +63,7 @@ def masked_points(
     return _deproject(u + window[1].start, v + window[0].start, region[v, u], intrinsics)
 
 
-def box_points(
-    depth_m: NDArray[np.float32], box: NDArray[Any], intrinsics: Intrinsics
-) -> NDArray[np.float64]:
+def box_points(depth_m: Array32, box: Numbers, intrinsics: Intrinsics) -> Array:
     """Deproject every second pixel, in both directions, of a box that has a valid reading.
 
     Parameters
@@ -99,7 +94,7 @@ def box_points(
     return _deproject(u * _STRIDE + x1, v * _STRIDE + y1, region[v, u], intrinsics)
 
 
-def box_pixels(box: NDArray[Any], shape: tuple[int, ...]) -> tuple[int, int, int, int]:
+def box_pixels(box: Numbers, shape: tuple[int, ...]) -> tuple[int, int, int, int]:
     """Return the half-open range x1, y1, x2, y2 of pixels whose centres lie in a box.
 
     Parameters
@@ -120,9 +115,7 @@ def box_pixels(box: NDArray[Any], shape: tuple[int, ...]) -> tuple[int, int, int
     return x1, y1, x2, y2
 
 
-def _deproject(
-    u_px: NDArray[Any], v_px: NDArray[Any], z_m: NDArray[Any], intrinsics: Intrinsics
-) -> NDArray[np.float64]:
+def _deproject(u_px: Numbers, v_px: Numbers, z_m: Numbers, intrinsics: Intrinsics) -> Array:
     x, y = intrinsics.rays(u_px, v_px)
     return np.stack([x * z_m, y * z_m, z_m], axis=1)
 
@@ -151,14 +144,14 @@ class Region:
         u, v, visibility.
     """
 
-    depth_m: NDArray[np.float32]
+    depth_m: Array32
     intrinsics: Intrinsics
-    box: NDArray[Any]
-    mask: NDArray[np.bool_] | None = None
-    keypoints: NDArray[np.float64] | None = None
+    box: Numbers
+    mask: Mask | None = None
+    keypoints: Array | None = None
 
     @cached_property
-    def mask_points_m(self) -> NDArray[np.float64] | None:
+    def mask_points_m(self) -> Array | None:
         """The mask's points in metres, shape (N, 3); None without a mask."""
         if self.mask is None:
             return None
@@ -171,7 +164,7 @@ class Region:
         return None if points is None else align_near(points, GATE_M)
 
     @cached_property
-    def box_points_m(self) -> NDArray[np.float64]:
+    def box_points_m(self) -> Array:
         """The box's points at stride 2 in metres, shape (N, 3)."""
         return box_points(self.depth_m, self.box, self.intrinsics)
 

@@ -26,8 +26,7 @@ from cucumbervision.tube.shape import (
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-    from numpy.typing import NDArray
-
+    from cucumbervision.arrays import Array, Array32, Mask, Pixels
     from cucumbervision.capture.frames import Capture
     from cucumbervision.methods.result import Fruit
     from cucumbervision.methods.table import Trait
@@ -36,7 +35,7 @@ if TYPE_CHECKING:
 _SMALLEST_RADIUS_M = 1e-4
 
 
-def tube_traits(centres_m: NDArray[np.float64], radii_m: NDArray[np.float64]) -> TubeTraits:
+def tube_traits(centres_m: Array, radii_m: Array) -> TubeTraits:
     """Compute the traits of a body of balls along a curve.
 
     Parameters
@@ -172,7 +171,7 @@ _DOUBTED_SHARE = 0.3  # share from which yellow light is asked for: it makes all
 _CAST_SHARE = 0.85  # share of the surroundings with yellow hue: the light may be yellow
 
 
-def yellow_share(color_rgb: NDArray[np.uint8], mask: NDArray[np.bool_]) -> TraitValue:
+def yellow_share(color_rgb: Pixels, mask: Mask) -> TraitValue:
     """Compute the share of a fruit's visible skin that is yellow.
 
     Each pixel is judged by its hue in CIELAB, which shade and highlights hardly change. Pixels at
@@ -229,7 +228,7 @@ def yellow_share(color_rgb: NDArray[np.uint8], mask: NDArray[np.bool_]) -> Trait
     return TraitValue(share)
 
 
-def _judge(colors_rgb: NDArray[np.uint8]) -> tuple[dict[str, NDArray[np.bool_]], NDArray[np.bool_]]:
+def _judge(colors_rgb: Pixels) -> tuple[dict[str, Mask], Mask]:
     """Return why colours, shape (N, 3), cannot be judged, by reason, and which have yellow hue."""
     lightness, chroma, hue_deg = _lightness_chroma_hue(colors_rgb)
     faults = {
@@ -240,7 +239,7 @@ def _judge(colors_rgb: NDArray[np.uint8]) -> tuple[dict[str, NDArray[np.bool_]],
     return faults, (hue_deg >= YELLOW_DEG[0]) & (hue_deg <= YELLOW_DEG[1])
 
 
-def _is_yellow_light(color_rgb: NDArray[np.uint8], mask: NDArray[np.bool_]) -> bool:
+def _is_yellow_light(color_rgb: Pixels, mask: Mask) -> bool:
     """Return whether the surroundings of a fruit are yellow, too."""
     part = _around(mask)
     color, fruit = color_rgb[part], mask[part]
@@ -252,7 +251,7 @@ def _is_yellow_light(color_rgb: NDArray[np.uint8], mask: NDArray[np.bool_]) -> b
     return bool(share_judged * float(yellow[judged].mean()) > _CAST_SHARE)
 
 
-def _around(mask: NDArray[np.bool_]) -> tuple[slice, slice]:
+def _around(mask: Mask) -> tuple[slice, slice]:
     """Return the part of the picture that holds a mask and its surroundings."""
     left, top, right, bottom = box_of_mask(mask)
     margin = _SURROUNDINGS * max(right - left, bottom - top)
@@ -260,9 +259,7 @@ def _around(mask: NDArray[np.bool_]) -> tuple[slice, slice]:
     return rows, slice(max(int(left - margin), 0), int(right + margin) + 1)
 
 
-def _lightness_chroma_hue(
-    colors_rgb: NDArray[np.uint8],
-) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+def _lightness_chroma_hue(colors_rgb: Pixels) -> tuple[Array32, Array32, Array32]:
     """Return lightness 0 to 100, chroma, and hue in degrees of CIELAB, each of shape (N,)."""
     lab = cv2.cvtColor(colors_rgb[:, None].astype(np.float32) / 255, cv2.COLOR_RGB2LAB)
     lightness, a, b = (lab[:, 0, channel].astype(np.float32) for channel in range(3))

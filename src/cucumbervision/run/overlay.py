@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, cast
 
 import cv2
 import numpy as np
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
+    from cucumbervision.arrays import Array, Array32, Mask, Numbers, Pixels
     from cucumbervision.capture.frames import Capture
     from cucumbervision.capture.intrinsics import Intrinsics
     from cucumbervision.fruit.instance import Instance
@@ -34,7 +35,7 @@ _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _SUBPIXEL_BITS = 4  # of OpenCV's lines
 
 
-def draw_overlay(capture: Capture, fruit: Sequence[Fruit]) -> NDArray[np.uint8]:
+def draw_overlay(capture: Capture, fruit: Sequence[Fruit]) -> Pixels:
     """Draw each fruit's mask, measured line, tips and length, and a scale bar.
 
     Parameters
@@ -70,9 +71,7 @@ def draw_overlay(capture: Capture, fruit: Sequence[Fruit]) -> NDArray[np.uint8]:
     return picture
 
 
-def _tint_mask(
-    picture: NDArray[np.uint8], inside: NDArray[np.bool_], color: tuple[int, int, int], size: float
-) -> None:
+def _tint_mask(picture: Pixels, inside: Mask, color: tuple[int, int, int], size: float) -> None:
     """Tint a mask's pixels and draw its outline, in place; `size` scales the lines."""
     window = mask_window(inside)
     if window is None:
@@ -83,7 +82,7 @@ def _tint_mask(
         draw_polyline(picture, outline, color, max(1, round(1.5 * size)), closed=True)
 
 
-def mask_outlines(mask: NDArray[np.bool_]) -> list[NDArray[np.int32]]:
+def mask_outlines(mask: Mask) -> list[NDArray[np.int32]]:
     """Return the outer outline of each part of a mask: arrays of shape (N, 2), pixels.
 
     Examples
@@ -105,15 +104,15 @@ def mask_outlines(mask: NDArray[np.bool_]) -> list[NDArray[np.int32]]:
     return [outline.reshape(-1, 2).astype(np.int32) for outline in outlines]
 
 
-def path_px(path_m: ArrayLike | None, camera: Intrinsics) -> NDArray[np.float64] | None:
+def path_px(path_m: ArrayLike | None, camera: Intrinsics) -> Array | None:
     """Return a measured line in the picture, shape (N, 2); None without one before the camera."""
     path = np.array([] if path_m is None else path_m, np.float64).reshape(-1, 3)
     return None if len(path) < 2 or (path[:, 2] <= 0).any() else camera.project(path)
 
 
 def draw_polyline(
-    picture: NDArray[np.uint8],
-    points_px: NDArray[Any],
+    picture: Pixels,
+    points_px: Numbers,
     color: tuple[int, int, int],
     width_px: int,
     *,
@@ -124,12 +123,7 @@ def draw_polyline(
     cv2.polylines(picture, [points], closed, color, width_px, cv2.LINE_AA, _SUBPIXEL_BITS)
 
 
-def _draw_line(
-    picture: NDArray[np.uint8],
-    points_px: NDArray[np.float64],
-    color: tuple[int, int, int],
-    size: float,
-) -> None:
+def _draw_line(picture: Pixels, points_px: Array, color: tuple[int, int, int], size: float) -> None:
     """Draw a line (points of shape (N, 2)) with its tips in a colour, in place."""
     draw_polyline(picture, points_px, _BLACK, max(2, round(4 * size)))
     draw_polyline(picture, points_px, _WHITE, max(1, round(2 * size)))
@@ -148,9 +142,7 @@ def _label(number: int, fruit: Fruit) -> str:
     return f"{number}: {bound}{100 * length.value_m:.1f} cm {length.kind}, {fruit.method}"
 
 
-def _draw_label(
-    picture: NDArray[np.uint8], label: str, box: NDArray[np.float64], size: float
-) -> None:
+def _draw_label(picture: Pixels, label: str, box: Array, size: float) -> None:
     """Write a label above a box, or below it if there is no space, in place."""
     (width, height), _ = cv2.getTextSize(label, _FONT, 0.65 * size, max(1, round(2 * size)))
     x = float(np.clip(box[0], 4, max(4, picture.shape[1] - width - 8)))
@@ -159,9 +151,7 @@ def _draw_label(
     draw_text(picture, label, (int(x), int(y)), size)
 
 
-def draw_text(
-    picture: NDArray[np.uint8], text: str, corner_px: tuple[int, int], size: float
-) -> None:
+def draw_text(picture: Pixels, text: str, corner_px: tuple[int, int], size: float) -> None:
     """Write white letters on a darkened plate, their lower left corner at a pixel, in place."""
     scale, thin = 0.65 * size, max(1, round(1.6 * size))
     (width, height), below = cv2.getTextSize(text, _FONT, scale, thin)
@@ -172,9 +162,7 @@ def draw_text(
     cv2.putText(picture, text, corner_px, _FONT, scale, _WHITE, thin, cv2.LINE_AA)
 
 
-def _draw_scale(
-    picture: NDArray[np.uint8], capture: Capture, fruit: Sequence[Fruit], size: float
-) -> None:
+def _draw_scale(picture: Pixels, capture: Capture, fruit: Sequence[Fruit], size: float) -> None:
     depths = [np.median(d) for f in fruit if len(d := _fruit_depths(capture, f))]
     if not depths:
         return
@@ -188,16 +176,14 @@ def _draw_scale(
     draw_text(picture, text, (left_px, y - round(14 * size)), size)
 
 
-def _fruit_depths(capture: Capture, fruit: Fruit) -> NDArray[np.float32]:
+def _fruit_depths(capture: Capture, fruit: Fruit) -> Array32:
     if fruit.mask is None:
         return np.empty(0, np.float32)
     depths = capture.depth_m[fruit.mask]
     return depths[valid_depth(depths)]
 
 
-def draw_detections(
-    color_rgb: NDArray[np.uint8], instances: Sequence[Instance]
-) -> NDArray[np.uint8]:
+def draw_detections(color_rgb: Pixels, instances: Sequence[Instance]) -> Pixels:
     """Draw each fruit's mask, box, score and keypoints.
 
     The stem end is a square, the blossom end a circle; keypoints of low visibility are hollow.
@@ -239,10 +225,7 @@ def draw_detections(
 
 
 def _draw_keypoints(
-    picture: NDArray[np.uint8],
-    keypoints: NDArray[np.float64],
-    color: tuple[int, int, int],
-    size: float,
+    picture: Pixels, keypoints: Array, color: tuple[int, int, int], size: float
 ) -> None:
     points = np.rint(keypoints[:, :2]).astype(np.int32)
     draw_polyline(picture, points, _BLACK, max(2, round(3 * size)))
@@ -260,7 +243,7 @@ def _draw_keypoints(
                 cv2.circle(picture, (u, v), reach, shade, width, cv2.LINE_AA)
 
 
-def as_jpeg(picture: NDArray[np.uint8], widest_px: int = 1280, quality: int = 85) -> bytes:
+def as_jpeg(picture: Pixels, widest_px: int = 1280, quality: int = 85) -> bytes:
     """Return a picture as a JPEG, scaled down to a width where it is wider.
 
     Parameters
@@ -280,6 +263,6 @@ def as_jpeg(picture: NDArray[np.uint8], widest_px: int = 1280, quality: int = 85
     if picture.shape[1] > widest_px:
         height = round(picture.shape[0] * widest_px / picture.shape[1])
         small = cv2.resize(picture, (widest_px, height), interpolation=cv2.INTER_AREA)
-        picture = cast("NDArray[np.uint8]", small)
+        picture = cast("Pixels", small)
     bgr = cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
     return cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()

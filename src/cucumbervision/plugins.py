@@ -13,7 +13,6 @@ from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.metadata import (
-    EntryPoint,
     EntryPoints,
     PackageNotFoundError,
     entry_points,
@@ -42,14 +41,8 @@ T = TypeVar("T")
 PACKAGE = "cucumbervision"
 
 _OWN: Mapping[Kind, Mapping[str, str]] = {
-    "methods": {
-        "M1": "cucumbervision.methods.paper_methods:M1",
-        "M2": "cucumbervision.methods.paper_methods:M2",
-        "M3": "cucumbervision.methods.paper_methods:M3",
-        "M4": "cucumbervision.methods.paper_methods:M4",
-        "M5": "cucumbervision.methods.paper_methods:M5",
-        "M6": "cucumbervision.methods.m6:METHOD",
-    },
+    "methods": {f"M{k}": f"cucumbervision.methods.paper_methods:M{k}" for k in range(1, 6)}
+    | {"M6": "cucumbervision.methods.m6:METHOD"},
     "readers": {
         "native": "cucumbervision.capture.readers.native:find_native",
         "bop": "cucumbervision.capture.readers.bop:find_scenes",
@@ -106,13 +99,8 @@ class Plugin:
 
     def as_json(self) -> dict[str, str]:
         """Return its description in files."""
-        return {
-            "kind": self.kind.removesuffix("s"),
-            "name": self.name,
-            "package": self.package,
-            "version": self.version,
-            "object": self.value,
-        }
+        described = {"kind": self.kind.removesuffix("s"), "name": self.name}
+        return described | {"package": self.package, "version": self.version, "object": self.value}
 
     def load(self) -> Any:
         """Return the named object, loaded once.
@@ -209,7 +197,10 @@ def _table(kind: Kind) -> tuple[dict[str, Plugin], tuple[PluginError, ...]]:
     table = own(kind)
     taken = {name.casefold() for name in table}
     left_out = []
-    added = [_plugin(kind, point) for point in installed(f"{PACKAGE}.{kind}")]
+    added = []
+    for point in installed(f"{PACKAGE}.{kind}"):
+        names = (point.dist.name, point.dist.version) if point.dist else ("", "")
+        added.append(Plugin(kind, point.name, point.value, *names))
     for plugin in sorted(added, key=lambda plugin: (plugin.name, plugin.package)):
         if plugin.name.casefold() in taken:
             left_out.append(plugin.error("has a name that is taken, and is left out"))
@@ -217,11 +208,6 @@ def _table(kind: Kind) -> tuple[dict[str, Plugin], tuple[PluginError, ...]]:
         taken.add(plugin.name.casefold())
         table[plugin.name] = plugin
     return table, tuple(left_out)
-
-
-def _plugin(kind: Kind, point: EntryPoint) -> Plugin:
-    package, number = (point.dist.name, point.dist.version) if point.dist else ("", "")
-    return Plugin(kind, point.name, point.value, package, number)
 
 
 def forget() -> None:

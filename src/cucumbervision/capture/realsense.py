@@ -42,11 +42,9 @@ def import_realsense() -> Any:
     except ModuleNotFoundError:
         raise MissingExtraError("pyrealsense2", "camera") from None
     except ImportError as error:
-        raise CameraError(
-            "pyrealsense2 cannot be loaded ({reason})",
-            remedy="install the system package libusb-1.0-0 (libusb1 on Fedora)",
-            reason=error,
-        ) from None
+        remedy = "install the system package libusb-1.0-0 (libusb1 on Fedora)"
+        fault = "pyrealsense2 cannot be loaded ({reason})"
+        raise CameraError(fault, remedy=remedy, reason=error) from None
     return pyrealsense2
 
 
@@ -281,6 +279,11 @@ class CameraConfig:
             raise ValueError("timeout_s must be positive")
 
 
+# Formats of a recording's colour, and OpenCV's names for what converts them.
+_COLOR_CODES = {
+    **{"bgr8": "COLOR_BGR2RGB", "rgba8": "COLOR_RGBA2RGB", "bgra8": "COLOR_BGRA2RGB"},
+    **{"yuyv": "COLOR_YUV2RGB_YUYV", "uyvy": "COLOR_YUV2RGB_UYVY"},
+}
 _STALE_S, _QUEUED = 0.5, 2  # pause after which the queued frames of the SDK are dropped
 
 
@@ -509,17 +512,11 @@ class RealSenseCamera:
         self._align = rs.align(rs.stream.color)
 
     def _lens_model(self, lens: Any) -> Distortion:
-        name = str(lens.model).removeprefix("distortion.")
-        if not any(lens.coeffs):
-            return Distortion.NONE
-        try:
-            return Distortion(name)
-        except ValueError:
-            raise CaptureError(
-                f"the colour stream has the lens model {name}, which no D4xx has",
-                source=self._source,
-                remedy="use a D4xx camera",
-            ) from None
+        name = str(lens.model).removeprefix("distortion.") if any(lens.coeffs) else "none"
+        if name not in {*Distortion}:
+            fault = f"the colour stream has the lens model {name}, which no D4xx has"
+            raise CaptureError(fault, source=self._source, remedy="use a D4xx camera")
+        return Distortion(name)
 
     def _convert(self, frames: Any) -> AlignedFrame:
         aligned = self._align.process(frames)
@@ -539,23 +536,15 @@ class RealSenseCamera:
 
         name = str(frame.get_profile().format()).removeprefix("format.")
         data = np.asanyarray(frame.get_data())
-        codes = {
-            "bgr8": cv2.COLOR_BGR2RGB,
-            "rgba8": cv2.COLOR_RGBA2RGB,
-            "bgra8": cv2.COLOR_BGRA2RGB,
-            "yuyv": cv2.COLOR_YUV2RGB_YUYV,
-            "uyvy": cv2.COLOR_YUV2RGB_UYVY,
-        }
         if name == "rgb8":
             # Copy, because the SDK reuses its buffer.
             return np.array(data, dtype=np.uint8)
-        if name not in codes:
-            raise CaptureError(
-                f"colour is {name}, which is not read", source=self._source, remedy="record RGB8"
-            )
+        if name not in _COLOR_CODES:
+            fault = f"colour is {name}, which is not read"
+            raise CaptureError(fault, source=self._source, remedy="record RGB8")
         if data.dtype == np.uint16:
             data = data.view(np.uint8).reshape(*data.shape, 2)
-        return np.asarray(cv2.cvtColor(data, codes[name]), dtype=np.uint8)
+        return np.asarray(cv2.cvtColor(data, getattr(cv2, _COLOR_CODES[name])), dtype=np.uint8)
 
     def _fault(self, error: RuntimeError) -> CaptureError | CameraError:
         if not self._is_recorded:

@@ -62,7 +62,9 @@ class MaskSource(StrEnum):
         return {"sam": "SAM", "dataset": "data set"}.get(self.value, self.value)
 
 
-_FAR_PX = 1e6  # from the picture
+_FAR_PX = 1e6  # from the image
+_OWN_SIZE = "give masks of the picture's own size"
+_CORNERS = "give x1, y1, x2, y2 in pixels, the corners from the upper left to the lower right"
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,41 +196,27 @@ def in_picture(instance: Instance, width: int, height: int) -> Instance:
     cucumbervision.errors.InstancesError: the box [0, 0, nan, 8] is not finite; ...
     """
     for mask in (instance.mask, instance.detector_mask):
-        if mask is not None and mask.shape != (height, width):
-            raise InstancesError(
-                "the mask is {mask}, the picture {picture}",
-                remedy="give masks of the picture's own size",
-                mask=f"{mask.shape[1]}x{mask.shape[0]}",
-                picture=f"{width}x{height}",
-            )
-        if mask is not None and not mask.any():
-            raise InstancesError("a mask has no pixel", remedy="leave it out")
+        if mask is not None:
+            sizes = {"mask": f"{mask.shape[1]}x{mask.shape[0]}", "picture": f"{width}x{height}"}
+            fault, remedy = "the mask is {mask}, the picture {picture}", _OWN_SIZE
+            _require(mask.shape == (height, width), fault, remedy, **sizes)
+            _require(bool(mask.any()), "a mask has no pixel", "leave it out")
     keypoints = instance.keypoints
     if keypoints is not None:
         keypoints = np.asarray(keypoints, np.float64)
-        if keypoints.shape != (len(KEYPOINT_NAMES), 3) or (np.abs(keypoints) > _FAR_PX).any():
-            raise InstancesError(
-                f"the keypoints are {keypoints.shape} numbers up to {np.abs(keypoints).max():g}",
-                remedy="give u and v in pixels and the visibility of each, (5, 3)",
-            )
+        is_five = keypoints.shape == (len(KEYPOINT_NAMES), 3)
+        fault = f"the keypoints are {keypoints.shape} numbers up to {np.abs(keypoints).max():g}"
+        remedy = "give u and v in pixels and the visibility of each, (5, 3)"
+        _require(is_five and not (np.abs(keypoints) > _FAR_PX).any(), fault, remedy)
     box = np.asarray(instance.box, np.float64)
-    text = ", ".join(f"{edge:g}" for edge in box.ravel())
-    if box.shape != (4,) or not np.isfinite(box).all():
-        raise InstancesError(
-            f"the box [{text}] is not finite", remedy="give x1, y1, x2, y2 in pixels"
-        )
+    text = f"the box [{', '.join(f'{edge:g}' for edge in box.ravel())}]"
+    is_box = box.shape == (4,) and bool(np.isfinite(box).all())
+    _require(is_box, f"{text} is not finite", "give x1, y1, x2, y2 in pixels")
     corner, opposite = np.maximum(box[:2], -0.5), np.minimum(box[2:], (width - 0.5, height - 0.5))
-    if (opposite <= corner).any():
-        raise InstancesError(
-            f"the box [{text}] has no area inside the picture of {width}x{height}",
-            remedy="give x1, y1, x2, y2 in pixels, the corners from the upper left to the lower "
-            "right",
-        )
-    confidence = float(instance.confidence)
-    if not 0 <= confidence <= 1:
-        raise InstancesError(
-            f"the confidence is {confidence:g}", remedy="give a number from 0 to 1"
-        )
+    fault = f"{text} has no area inside the picture of {width}x{height}"
+    _require(not (opposite <= corner).any(), fault, _CORNERS)
+    confidence, remedy = float(instance.confidence), "give a number from 0 to 1"
+    _require(0 <= confidence <= 1, f"the confidence is {confidence:g}", remedy)
     return replace(
         instance,
         box=np.concatenate([corner, opposite]),
@@ -236,6 +224,11 @@ def in_picture(instance: Instance, width: int, height: int) -> Instance:
         keypoints=keypoints,
         mask_failure=instance.mask_failure if instance.mask_failure in MASK_FAILURES else "",
     )
+
+
+def _require(is_right: bool, fault: str, remedy: str, **parts: object) -> None:
+    if not is_right:
+        raise InstancesError(fault, remedy=remedy, **parts)
 
 
 TRUSTED_SHARE = 0.5

@@ -178,7 +178,7 @@ def mask_of_segmentation(shape: Any, height: int, width: int) -> Mask:
     return mask
 
 
-_RUN_BITS = 60  # limits the time for a malformed number of a million digits
+_MOST_DIGITS = 12  # of five bits each: no image needs more
 
 
 def _pack(value: int) -> str:
@@ -193,25 +193,22 @@ def _pack(value: int) -> str:
 
 
 def _unpack(text: str) -> list[int]:
-    runs: list[int] = []
-    position = 0
-    while position < len(text):
-        value, shift, continues = 0, 0, True
-        while continues:
-            if position == len(text):
-                raise ValueError("the run lengths end within a number")
-            if shift > _RUN_BITS:
-                raise ValueError("a run length has more digits than any picture needs")
-            code = ord(text[position]) - 48
-            if not 0 <= code < 64:
-                raise ValueError(f"{text[position]!r} is not a run length")
-            value |= (code & 0x1F) << shift
-            continues = bool(code & 0x20)
-            position, shift = position + 1, shift + 5
-            if not continues and code & 0x10:
-                value |= -1 << shift
-        runs.append(value + runs[-2] if len(runs) > 2 else value)
-    return runs
+    codes = np.array([*map(ord, text)], np.int64) - 48
+    if ((codes < 0) | (codes > 63)).any():
+        raise ValueError("holds a character that is no run length")
+    ends = np.flatnonzero(codes & 0x20 == 0)
+    if not len(ends) or ends[-1] != len(codes) - 1:
+        raise ValueError("the run lengths end within a number")
+    starts = np.append(0, ends[:-1] + 1)
+    digits = ends - starts + 1
+    if digits.max() > _MOST_DIGITS:
+        raise ValueError("a run length has more digits than any picture needs")
+    places = np.arange(len(codes)) - np.repeat(starts, digits)
+    runs = np.add.reduceat((codes & 0x1F) << 5 * places, starts)
+    runs -= np.where(codes[ends] & 0x10, np.int64(1) << 5 * digits, 0)  # the sign
+    # From the third on, each is the difference to the last but one.
+    runs[1::2], runs[2::2] = runs[1::2].cumsum(), runs[2::2].cumsum()
+    return [int(run) for run in runs]
 
 
 @dataclass(frozen=True)

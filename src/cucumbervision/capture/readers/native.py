@@ -266,8 +266,7 @@ def write_native(
         "provenance": dict(capture.provenance),
         **({} if capture.gravity is None else {"gravity": list(capture.gravity)}),
     }
-    text = json.dumps(json_value(manifest), indent=2) + "\n"
-    parse_model(Manifest, json.loads(text), source=folder)
+    parse_model(Manifest, manifest := json_value(manifest), source=folder)
     with wrap_os_errors("cannot be made", folder, "choose another folder", CaptureError):
         (folder / MASKS if capture.masks else folder).mkdir(parents=True, exist_ok=True)
     for i, (color, depth_m) in enumerate(frames):
@@ -275,7 +274,7 @@ def write_native(
         write_png(folder / f"depth_{i:06d}.png", _steps(depth_m, unit_m).astype(np.uint16))
     for k, mask in enumerate(capture.masks):
         write_png(folder / MASKS / f"{capture.frame:06d}_{k:06d}.png", mask.astype(np.uint8) * 255)
-    write_bytes(folder / MANIFEST, text.encode())
+    write_bytes(folder / MANIFEST, (json.dumps(manifest, indent=2) + "\n").encode())
     return folder / MANIFEST
 
 

@@ -13,7 +13,7 @@ import os
 import struct
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -87,56 +87,21 @@ def _bases() -> _Struct:
     return _Struct(*bases(BALLS), *bases(FINE + 1))
 
 
-def _finite(*arrays: Numbers) -> bool:
-    return all(np.isfinite(array).all() for array in arrays)
-
-
 def _numbers(array: Numbers, *shape: int) -> Array:
     # As the kernel reads it; ValueError if it has another shape.
     return np.ascontiguousarray(array, np.float64).reshape(shape)
 
 
-def _shape(shape: TubeShape) -> _Struct:
-    # A copy: the fit moves it.
-    bend = np.array(shape.bend_m, np.float64).reshape(BEND_SEGMENTS + 3, 3)
-    return _Struct(bend, np.array(shape.width_m, np.float64).reshape(WIDTH_SEGMENTS + 3))
+class Fit(NamedTuple):
+    """What the kernel made of one fit: the moved body, its readings, and the results."""
 
-
-class Fit:
-    """One fit's arrays, and the kernel's functions on them.
-
-    Parameters
-    ----------
-    evidence : Evidence
-        What was seen.
-    guess : TubeShape
-        The body, which the kernel moves.
-    """
-
-    def __init__(self, evidence: Evidence, guess: TubeShape) -> None:
-        count, waves = len(evidence.points_m), evidence.waves
-        self.bases, self.shape, self.seen = _bases(), _shape(guess), _evidence(evidence)
-        self.bend_m, self.width_m = self.shape.arrays
-        self.readings = _readings(count), _readings(len(evidence.rays))
-        self.nuisance = np.zeros(3 + waves)
-        stride = _BODY + _padded(waves) + 1
-        self.normal, self.target = np.zeros((stride, stride)), np.zeros(stride)
-        self.sums = _Struct(
-            _BODY + waves, stride, self.normal, self.target, np.empty(_ROWS * stride)
-        )
-        self.covariance = np.empty((_BODY, _BODY))
-        self.ends_seen = np.ones(2, np.int64)
-        self.misfit = np.zeros(1)
-
-    def run(self) -> bool:
-        """Fit as `tube_fit.fit_shape`; False without a solution."""
-        results = (self.covariance, self.ends_seen, self.misfit)
-        values = (self.bases, self.seen, self.shape, self.nuisance, *self.readings, self.sums)
-        arguments = (
-            x.argument if isinstance(x, _Struct) else ctypes.c_void_p(x.ctypes.data)
-            for x in (*values, *results)
-        )
-        return bool(library().fit_shape(*arguments))
+    bend_m: Array
+    width_m: Array
+    points: list[Numbers]
+    rays: list[Numbers]
+    covariance: Array
+    ends_seen: Numbers
+    misfit: float
 
 
 def _padded(waves: int) -> int:
@@ -167,14 +132,28 @@ def _evidence(evidence: Evidence) -> _Struct:
 
 
 def fitted(evidence: Evidence, guess: TubeShape) -> Fit | None:
-    """Fit as `tube_fit.fit_shape`; None where NumPy must."""
-    if library() is None or evidence.waves > _MOST_WAVES or not len(evidence.points_m):
+    """Fit as `tube_fit.fit_shape`; None where NumPy must, or without a solution."""
+    count, waves = len(evidence.points_m), evidence.waves
+    if library() is None or waves > _MOST_WAVES or not count:
         return None
-    numbers = [getattr(evidence, name) for name in ("points_m", "points_sd_m", "rays")]
-    if evidence.waves_m is not None:
-        numbers.append(evidence.waves_m)
-    scalars = (evidence.rays_sd_rad, evidence.pixel_rad, evidence.points_share)
-    if not _finite(*numbers, guess.bend_m, guess.width_m, np.array(scalars)):
+    scalars = np.array((evidence.rays_sd_rad, evidence.pixel_rad, evidence.points_share))
+    numbers = [evidence.points_m, evidence.points_sd_m, evidence.rays, evidence.waves_m, scalars]
+    numbers += [guess.bend_m, guess.width_m]
+    if not all(np.isfinite(array).all() for array in numbers if array is not None):
         return None
-    fit = Fit(evidence, guess)
-    return fit if fit.run() else None
+    # Copies: the fit moves them.
+    bend_m = np.array(guess.bend_m, np.float64).reshape(BEND_SEGMENTS + 3, 3)
+    width_m = np.array(guess.width_m, np.float64).reshape(WIDTH_SEGMENTS + 3)
+    points, rays = _readings(count), _readings(len(evidence.rays))
+    stride = _BODY + _padded(waves) + 1
+    equations = np.zeros((stride, stride)), np.zeros(stride), np.empty(_ROWS * stride)
+    covariance, ends, misfit = np.empty((_BODY, _BODY)), np.ones(2, np.int64), np.zeros(1)
+    values = (
+        *(_bases(), _evidence(evidence), _Struct(bend_m, width_m), np.zeros(3 + waves)),
+        *(points, rays, _Struct(_BODY + waves, stride, *equations), covariance, ends, misfit),
+    )
+    is_solved = library().fit_shape(
+        *(x.argument if isinstance(x, _Struct) else ctypes.c_void_p(x.ctypes.data) for x in values)
+    )
+    moved = bend_m, width_m, points.arrays, rays.arrays
+    return Fit(*moved, covariance, ends, float(misfit[0])) if is_solved else None

@@ -248,15 +248,9 @@ def fit_shape(evidence: Evidence, guess: TubeShape) -> TubeFitting:
     fit = tube_kernel.fitted(evidence, guess)
     if fit is None:
         return _fit_by_numpy(evidence, guess)
-    points, rays = (_gaps_of(*readings.arrays) for readings in fit.readings)
-    return TubeFitting(
-        TubeShape(fit.bend_m, fit.width_m),
-        fit.covariance,
-        points,
-        rays,
-        (bool(fit.ends_seen[0]), bool(fit.ends_seen[1])),
-        float(fit.misfit[0]),
-    )
+    shape, (first, last) = TubeShape(fit.bend_m, fit.width_m), map(bool, fit.ends_seen)
+    points, rays = _gaps_of(*fit.points), _gaps_of(*fit.rays)
+    return TubeFitting(shape, fit.covariance, points, rays, (first, last), fit.misfit)
 
 
 def _gaps_of(gap_m: Array, away: Array, centres_m: Array, *others: Numbers) -> Gaps:

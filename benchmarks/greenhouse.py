@@ -35,7 +35,7 @@ from cucumbervision.fruit.instance import Instance
 from cucumbervision.fruit.masks import box_of_mask
 from cucumbervision.methods.flags import Flag
 from cucumbervision.methods.result import MethodName
-from cucumbervision.run.inputs import read_captures
+from cucumbervision.run.batch import read_captures
 from cucumbervision.run.measurer import Failure, Measurer
 from cucumbervision.run.options import GRAVITY_BY_EDGE, MeasureOptions
 from cucumbervision.tube.shape import points_along, polyline_length

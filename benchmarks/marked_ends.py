@@ -27,8 +27,8 @@ from cucumbervision.capture.pictures import read_color
 from cucumbervision.fruit.crops import EndCrop, end_crop
 from cucumbervision.fruit.masks import distances_inside
 from cucumbervision.methods.selector import DOUBTFUL
+from cucumbervision.networks.find import EndLooker
 from cucumbervision.networks.keypoint_axis import axis_line
-from cucumbervision.networks.looks import EndLooker
 from cucumbervision.networks.registry import load_registry
 from cucumbervision.run.measurer import Measurer
 from cucumbervision.run.options import MeasureOptions

@@ -44,8 +44,8 @@ from cucumbervision.capture.source import ReadOptions
 from cucumbervision.methods.flags import Flag
 from cucumbervision.methods.result import MethodName
 from cucumbervision.methods.table import AVAILABLE
-from cucumbervision.networks.confidence import parse_input_sizes
-from cucumbervision.run.inputs import read_captures
+from cucumbervision.networks.yolo import parse_input_sizes
+from cucumbervision.run.batch import read_captures
 from cucumbervision.run.measurer import Failure, Measurer
 from cucumbervision.run.options import MeasureOptions
 from cucumbervision.tube.shape import polyline_length

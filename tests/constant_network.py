@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Mapping
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from cucumbervision.arrays import Numbers
+from cucumbervision.networks.registry import Model, ModelFile, Registry, file_sha256, load_registry
 
 
 def constant_network(
@@ -31,3 +34,18 @@ def constant_network(
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
     helper.set_model_props(model, {name: str(value) for name, value in (props or {}).items()})
     return bytes(model.SerializeToString())
+
+
+def registry_of(folder: Path, *models: Model, **files: Path) -> Registry:
+    """A registry of some of the package's models, and of embedded networks by their tasks."""
+    weights = folder / "weights"
+    weights.mkdir(exist_ok=True)
+    package, shipped = load_registry(), list(models)
+    for model in models:
+        for path in package.resolve(model.name).values():
+            (weights / path.name).symlink_to(path)
+    for task, file in files.items():
+        path = Path(shutil.copyfile(file, weights / f"tiny-{task}.onnx"))
+        part = ModelFile("network", path.name, file_sha256(path), path.stat().st_size)
+        shipped.append(Model(f"tiny-{task}", task, "CC0-1.0", "t", "o", (part,), embedded=True))
+    return Registry(tuple(shipped), weights, folder / "user")

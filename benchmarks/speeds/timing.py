@@ -19,8 +19,7 @@ from cucumbervision.run.batch import Engine
 from cucumbervision.run.measurer import Failure
 from cucumbervision.run.options import MeasureOptions
 from cucumbervision.run.whole_run import BatchOptions, measure_inputs
-from cucumbervision.stream.fruit_stream import FruitStream
-from cucumbervision.stream.sources import in_order
+from cucumbervision.stream.fruit_stream import FruitStream, in_order
 
 MODELS = MeasureOptions(instances="models")
 GIVEN = MeasureOptions(instances="dataset", segmenter="none")

@@ -44,6 +44,8 @@ from .networks.yolo import YoloDetector as YoloDetector
 from .plugins import Detector as Detector
 from .plugins import Reader as Reader
 from .plugins import Segmenter as Segmenter
+from .run.batch import Results as Results
+from .run.batch import measure as measure
 from .run.detect import detect_inputs as detect_inputs
 from .run.finders import dataset_instances as dataset_instances
 from .run.measurer import CaptureResult as CaptureResult
@@ -52,8 +54,6 @@ from .run.measurer import Measurer as Measurer
 from .run.options import MeasureOptions as MeasureOptions
 from .run.options import PlugIns as PlugIns
 from .run.overlay import draw_overlay as draw_overlay
-from .run.results import Results as Results
-from .run.results import measure as measure
 from .run.whole_run import BatchOptions as BatchOptions
 from .run.whole_run import RunResult as RunResult
 from .run.whole_run import measure_inputs as measure_inputs
@@ -61,5 +61,5 @@ from .service.client import Client as Client
 from .stream.fruit_stream import FruitStream as FruitStream
 from .stream.fruit_stream import StreamedFrame as StreamedFrame
 from .stream.fruit_stream import TrackedFruit as TrackedFruit
-from .stream.sources import open_stream as open_stream
-from .stream.sources import stream_camera as stream_camera
+from .stream.fruit_stream import open_stream as open_stream
+from .stream.fruit_stream import stream_camera as stream_camera

@@ -32,7 +32,7 @@ def serve(
     port: int = 8501,
     browser: bool = True,
     login: bool = False,
-    ready: Callable[[str], None] | None = None,
+    ready: Callable[[str], None] = lambda _: None,
 ) -> None:
     """Serve the dashboard until it is interrupted.
 
@@ -60,7 +60,7 @@ def serve(
     AccessError
         If the token in the environment is too short.
     CucumberVisionError
-        If the replay does not exist.
+        If the replay does not exist, or the port is taken.
     """
     require_extra()
     from cucumbervision_greenhouse.access import Login, decide_login
@@ -74,16 +74,16 @@ def serve(
         place += f"/?token={token}"
     if replay is not None and not replay.exists():
         raise CucumberVisionError("does not exist", source=replay, remedy="check the path")
-    variables = {STORE_VARIABLE: store, REPLAY_VARIABLE: replay}
-    os.environ.update({name: str(value) for name, value in variables.items() if value})
-    if ready is not None:
-        ready(place)
+    os.environ |= {STORE_VARIABLE: store, **({REPLAY_VARIABLE: str(replay)} if replay else {})}
     from cucumbervision.service.requests import listen
     from cucumbervision_greenhouse.routes import guarded_app
 
-    if browser:
-        threading.Timer(_BROWSER_S, webbrowser.open, [place]).start()
-    listen(guarded_app(how), address, port, sockets="websockets-sansio")
+    def bound() -> None:
+        ready(place)
+        if browser:
+            threading.Timer(_BROWSER_S, webbrowser.open, [place]).start()
+
+    listen(guarded_app(how), address, port, sockets="websockets-sansio", ready=bound)
 
 
 def _shown_host(address: str) -> str:

@@ -15,7 +15,7 @@ from cucumbervision.crop.profiles import load_profile
 from cucumbervision.errors import wrap_os_errors
 from cucumbervision.files import replacing
 from cucumbervision.methods.result import LengthDefinition, Selector
-from cucumbervision.networks.confidence import DEFAULT_CONFIDENCE
+from cucumbervision.networks import DEFAULT_CONFIDENCE
 from cucumbervision.run.options import MeasureOptions
 from cucumbervision_greenhouse.forecast.picking import Rates
 from cucumbervision_greenhouse.language import number_words

@@ -29,7 +29,7 @@ from cucumbervision.fruit.instance import Instance
 from cucumbervision.fruit.masks import box_of_mask
 from cucumbervision.methods.flags import Flag, is_lower_bound
 from cucumbervision.methods.selector import measure_fruit
-from cucumbervision.run.results import measure
+from cucumbervision.run.batch import measure
 from cucumbervision_lab.scenes.bodies import arc_tube, rotation
 from cucumbervision_lab.scenes.depth_camera import D4xx, sense
 from cucumbervision_lab.scenes.scene import Kind, Scene, render

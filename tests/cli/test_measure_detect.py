@@ -27,11 +27,7 @@ def test_detect_shows_a_summary_and_writes_its_files(
     assert (table["pictures"], table["fruit"], table["mean score"]) == ("1", "1", "0.75")
     assert table["no pictures, skipped"] == "1"
     assert "b.png: is not a readable picture" in done.stderr
-    assert {p.name for p in out.iterdir()} == {
-        "results.json",
-        "images.json",
-        "failures.csv",
-        "overlays",
-    }
+    written = {"results.json", "images.json", "failures.csv", "overlays"}
+    assert {p.name for p in out.iterdir()} == written
     quiet = run("detect", photos / "a.png", *common, "--quiet", "--runtime", "fast")
     assert (quiet.returncode, quiet.stdout, quiet.stderr) == (0, "", "")

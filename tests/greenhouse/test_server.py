@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -22,8 +23,12 @@ def started(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[tuple[objec
         monkeypatch.setenv(name, "")
         monkeypatch.delenv(name)
     monkeypatch.chdir(tmp_path)
-    name = "cucumbervision.service.requests.listen"
-    monkeypatch.setattr(name, lambda *given, **_: commands.append(given))
+
+    def listen(*given: object, ready: Callable[[], None], **_: object) -> None:
+        commands.append(given)
+        ready()
+
+    monkeypatch.setattr("cucumbervision.service.requests.listen", listen)
     return commands
 
 

@@ -16,8 +16,8 @@ from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.readers import ReadOptions, open_source
 from cucumbervision.methods.depth_doubts import depth_doubts
 from cucumbervision.methods.flags import NO_DEPTH, Flag, is_lower_bound
+from cucumbervision.run.batch import measure
 from cucumbervision.run.options import MeasureOptions
-from cucumbervision.run.results import measure
 
 Mask = NDArray[np.bool_]
 

@@ -12,7 +12,7 @@ from tests.capsules import Capsule, capsule_capture, lying, with_depth
 from cucumbervision.capture.frames import Capture
 from cucumbervision.methods.depth_doubts import has_coarse_steps
 from cucumbervision.methods.flags import Flag
-from cucumbervision.run.results import measure
+from cucumbervision.run.batch import measure
 
 
 def is_coarse(capture: Capture, mask: NDArray[np.bool_] | None = None) -> bool:

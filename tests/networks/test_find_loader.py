@@ -1,18 +1,17 @@
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.constant_network import constant_network
+from tests.constant_network import constant_network, registry_of
 
 from cucumbervision.errors import ModelError
 from cucumbervision.fruit.crops import END_PX, PLANES, EndCrop
 from cucumbervision.fruit.instance import UNKNOWN_ORDER
-from cucumbervision.networks.confidence import DETECTOR_SIZES_PX
+from cucumbervision.networks import DETECTOR_SIZES_PX
 from cucumbervision.networks.find import NetworkLoader
-from cucumbervision.networks.registry import Registry, file_sha256, load_registry
+from cucumbervision.networks.registry import file_sha256, load_registry
 
 pytest.importorskip("onnx")
 
@@ -29,27 +28,11 @@ def pose_network(path: Path) -> Path:
     return path
 
 
-def registry_of(folder: Path, **files: Path) -> Registry:
-    """A registry whose embedded networks are these, by task."""
-    text = "models = []" if not files else ""
-    for task, file in files.items():
-        text += (
-            f'[[models]]\nname = "tiny-{task}"\ntask = "{task}"\nlicence = "CC0-1.0"\n'
-            f'title = "t"\norigin = "o"\nembedded = true\nfiles = [{{ role = "network", '
-            f'file = "{file.name}", sha256 = "{file_sha256(file)}" }}]\n'
-        )
-    (folder / "models.toml").write_text(text)
-    return load_registry(folder / "models.toml")
-
-
 def test_the_registrys_network_that_looks_at_fruit_goes_with_points_by_place(
     tmp_path: Path,
 ) -> None:
-    (tmp_path / "weights").mkdir()
-    pose = pose_network(tmp_path / "weights/pose.onnx")
-    fruit = Path(
-        shutil.copy(load_registry().resolve("cucumber-fruit")["network"], tmp_path / "weights")
-    )
+    pose = pose_network(tmp_path / "pose.onnx")
+    fruit = load_registry().resolve("cucumber-fruit")["network"]
     loader = NetworkLoader(registry_of(tmp_path, pose=pose, fruit=fruit), runtime="onnxruntime")
     assert loader.stem_looker() is None
     (found,) = loader.yolo("tiny-pose").detect(PICTURE)

@@ -93,12 +93,17 @@ def test_the_variable_moves_the_folder(tmp_path: Path, monkeypatch: pytest.Monke
     assert models_folder().parts[-2:] == ("cucumbervision", "models")
 
 
+class ByColour:
+    def __init__(self, files: dict[str, Path], runtime: str, prompt: str, **_: object) -> None:
+        self.files, self.runtime, self.prompt = files, runtime, prompt
+
+
 def test_a_segmenter_without_weights_needs_no_files(tmp_path: Path) -> None:
     entry = """
 [[models]]
 name = "by-colour"
 task = "prompted-mask"
-segmenter = "builtins:dict"
+segmenter = "tests.networks.test_registry:ByColour"
 licence = "MIT"
 title = "No weights"
 origin = "somebody"
@@ -107,5 +112,5 @@ embedded = true
     (tmp_path / "models.toml").write_text(entry)
     registry = load_registry(tmp_path / "models.toml", user=tmp_path / "user")
     opened = open_segmenter("by-colour", prompt="box", registry=registry)
-    assert isinstance(opened, dict)
-    assert opened["prompt"] == "box"
+    assert isinstance(opened, ByColour)
+    assert (opened.files, opened.prompt) == ({}, "box")

@@ -5,6 +5,7 @@ import logging
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,42 +23,44 @@ def need(runtime: str) -> None:
         pytest.importorskip("openvino")
 
 
-def scaled_sum(half: bool = False, free: bool = True) -> bytes:
-    """Give a network y = 2.5 a + b, its factor stored in half precision where asked."""
-    helper, kind = onnx.helper, onnx.TensorProto
-    columns = "n" if free else 3
-    io = [helper.make_tensor_value_info(n, kind.FLOAT, [1, columns]) for n in ("a", "b", "y")]
-    factor = np.array([2.5], np.float16 if half else np.float32)
-    nodes = [
-        helper.make_node("Cast", ["k"], ["kf"], to=kind.FLOAT),
-        helper.make_node("Mul", ["a", "kf"], ["ka"]),
-        helper.make_node("Add", ["ka", "b"], ["y"]),
+def graph(nodes: list[Any], inputs: dict[str, Any], outputs: dict[str, Any], **how: Any) -> bytes:
+    """Return a network: nodes as (operation, inputs, outputs), tensors as (shape, type)."""
+    helper = onnx.helper
+    made = [helper.make_node(*node[:3], **(node[3] if node[3:] else {})) for node in nodes]
+    infos = [
+        [helper.make_tensor_value_info(name, kind, shape) for name, (shape, kind) in part.items()]
+        for part in (inputs, outputs)
     ]
-    constant = onnx.numpy_helper.from_array(factor, "k")
-    graph = helper.make_graph(nodes, "g", io[:2], io[2:], [constant])
-    opset = [helper.make_opsetid("", 17)]
-    model = helper.make_model(graph, opset_imports=opset, ir_version=8)
+    constants = [onnx.numpy_helper.from_array(value, name) for name, value in how.items()]
+    whole = helper.make_graph(made, "g", *infos, constants)
+    model = helper.make_model(whole, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
     helper.set_model_props(model, {"names": "{0: 'cucumber'}", "stride": "32"})
     return bytes(model.SerializeToString())
 
 
+FLOAT, HALF = onnx.TensorProto.FLOAT, onnx.TensorProto.FLOAT16
+
+
+def scaled_sum(half: bool = False, free: bool = True) -> bytes:
+    """Give a network y = 2.5 a + b, its factor stored in half precision where asked."""
+    tensor = [1, "n" if free else 3], FLOAT
+    nodes = [
+        ("Cast", ["k"], ["kf"], {"to": FLOAT}),
+        ("Mul", ["a", "kf"], ["ka"]),
+        ("Add", ["ka", "b"], ["y"]),
+    ]
+    factor = np.array([2.5], np.float16 if half else np.float32)
+    return graph(nodes, {"a": tensor, "b": tensor}, {"y": tensor}, k=factor)
+
+
 def float16_relu() -> bytes:
     """Give a network whose input and output are float16."""
-    helper, kind = onnx.helper, onnx.TensorProto
-    x, y = (helper.make_tensor_value_info(n, kind.FLOAT16, [4]) for n in "xy")
-    graph = helper.make_graph([helper.make_node("Relu", ["x"], ["y"])], "g", [x], [y])
-    opset = [helper.make_opsetid("", 17)]
-    return bytes(helper.make_model(graph, opset_imports=opset, ir_version=8).SerializeToString())
+    return graph([("Relu", ["x"], ["y"])], {"x": ([4], HALF)}, {"y": ([4], HALF)})
 
 
 def determinant() -> bytes:
     """Give a network that ONNX Runtime loads and OpenVINO has no rule for."""
-    helper, kind = onnx.helper, onnx.TensorProto
-    x = helper.make_tensor_value_info("x", kind.FLOAT, [2, 2])
-    y = helper.make_tensor_value_info("y", kind.FLOAT, None)
-    graph = helper.make_graph([helper.make_node("Det", ["x"], ["y"])], "g", [x], [y])
-    opset = [helper.make_opsetid("", 17)]
-    return bytes(helper.make_model(graph, opset_imports=opset, ir_version=8).SerializeToString())
+    return graph([("Det", ["x"], ["y"])], {"x": ([2, 2], FLOAT)}, {"y": (None, FLOAT)})
 
 
 def run(network: Network) -> list[float]:

@@ -21,7 +21,9 @@ def chosen(*rows: list[float]) -> np.ndarray:
     return out
 
 
+FREE = (1, 3, "height", "width")
 CUCUMBER = {"names": {0: "cucumber", 1: "leaf"}, "stride": 32, "imgsz": [64, 64]}
+DETECT = CUCUMBER | {"task": "detect", "end2end": True}
 
 
 @pytest.mark.parametrize("runtime", ["onnxruntime", "openvino"])
@@ -94,19 +96,14 @@ def test_embedded_suppression_is_read_as_rows() -> None:
 def test_free_size_pads_to_the_stride_only() -> None:
     # 32x64 at imgsz 64 needs no padding, so the box comes back as it is.
     rows = chosen([8, 20, 40, 30, 0.75, 1])
-    props = CUCUMBER | {"task": "detect", "end2end": True}
-    graph = network(rows, props=props, shape=(1, 3, "height", "width"))
-    (fruit,) = YoloDetector(graph).detect(PICTURE)
+    (fruit,) = YoloDetector(network(rows, props=DETECT, shape=FREE)).detect(PICTURE)
     assert fruit.box.tolist() == [7.5, 19.5, 39.5, 29.5]
-
-
-FREE = (1, 3, "height", "width")
 
 
 @pytest.mark.parametrize("side_px", [4128, 10**9])
 def test_an_input_of_gigabytes_is_refused(side_px: int) -> None:
     rows = chosen([8, 20, 40, 30, 0.75, 1])
-    props = CUCUMBER | {"task": "detect", "end2end": True, "imgsz": [64, side_px]}
+    props = DETECT | {"imgsz": [64, side_px]}
     with pytest.raises(ModelError, match="pixels"):
         YoloDetector(network(rows, props=props, shape=FREE))
 
@@ -114,7 +111,7 @@ def test_an_input_of_gigabytes_is_refused(side_px: int) -> None:
 def test_an_input_size_scales_the_picture_and_is_told() -> None:
     # The network sees this box whatever the size: at 128 px it is half as large in the picture.
     rows = chosen([8, 4, 40, 12, 0.8, 0])
-    free = network(rows, props=CUCUMBER | {"task": "detect", "end2end": True}, shape=FREE)
+    free = network(rows, props=DETECT, shape=FREE)
     (own,) = YoloDetector(free).detect(PICTURE)
     (large,) = YoloDetector(free, input_sizes=(128,)).detect(PICTURE)
     assert (own.box.tolist(), own.input_size_px) == ([7.5, 3.5, 39.5, 11.5], 64)
@@ -123,7 +120,7 @@ def test_an_input_size_scales_the_picture_and_is_told() -> None:
 
 def test_a_file_says_at_which_sizes_it_is_run_where_nobody_asks() -> None:
     rows = chosen([8, 4, 40, 12, 0.8, 0])
-    props = CUCUMBER | {"task": "detect", "end2end": True, SIZES_KEY: "128,64"}
+    props = DETECT | {SIZES_KEY: "128,64"}
     free = network(rows, props=props, shape=FREE)
     found = YoloDetector(free).detect(PICTURE)
     assert sorted(one.input_size_px or 0 for one in found) == [64, 128]
@@ -136,7 +133,7 @@ def test_a_file_says_at_which_sizes_it_is_run_where_nobody_asks() -> None:
 def test_what_two_sizes_find_alike_is_found_once() -> None:
     # Beyond the input at either size: the whole picture.
     rows = chosen([0, 0, 900, 900, 0.8, 0], [0, 0, 900, 900, 0.6, 1])
-    free = network(rows, props=CUCUMBER | {"task": "detect", "end2end": True}, shape=FREE)
+    free = network(rows, props=DETECT, shape=FREE)
     found = YoloDetector(free, input_sizes=(64, 128)).detect(PICTURE)
     assert [one.class_name for one in found] == ["cucumber", "leaf"]
     assert [one.confidence for one in found] == pytest.approx([0.8, 0.6])
@@ -145,7 +142,7 @@ def test_what_two_sizes_find_alike_is_found_once() -> None:
 def test_what_one_of_two_sizes_finds_must_be_twice_as_sure() -> None:
     # At 128 px the box is another, half as large: each is found by one size.
     rows = chosen([8, 4, 40, 12, 0.8, 0])
-    free = network(rows, props=CUCUMBER | {"task": "detect", "end2end": True}, shape=FREE)
+    free = network(rows, props=DETECT, shape=FREE)
     both = YoloDetector(free, confidence=0.3, input_sizes=(64, 128)).detect(PICTURE)
     assert [one.confidence for one in both] == pytest.approx([0.4, 0.4])
     assert YoloDetector(free, confidence=0.45, input_sizes=(64, 128)).detect(PICTURE) == ()
@@ -160,8 +157,7 @@ def test_a_network_of_one_size_refuses_another() -> None:
 
 def test_box_on_the_grey_border_is_left_out() -> None:
     rows = chosen([8, 0, 40, 15, 0.75, 1])
-    props = CUCUMBER | {"task": "detect", "end2end": True}
-    assert YoloDetector(network(rows, props=props)).detect(PICTURE) == ()
+    assert YoloDetector(network(rows, props=DETECT)).detect(PICTURE) == ()
 
 
 @pytest.mark.parametrize(

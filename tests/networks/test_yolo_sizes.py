@@ -5,8 +5,7 @@ import pytest
 
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.fruit.instance import Instance
-from cucumbervision.networks.confidence import parse_input_sizes
-from cucumbervision.networks.yolo import merge_sizes
+from cucumbervision.networks.yolo import merge_sizes, parse_input_sizes
 
 
 def find(left: float, confidence: float, size: int, name: str = "cucumber") -> Instance:

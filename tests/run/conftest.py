@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import shutil
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -9,14 +8,14 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from tests.constant_network import constant_network
+from tests.constant_network import constant_network, registry_of
 
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
 from cucumbervision.fruit.masks import box_of_mask
-from cucumbervision.networks.registry import Registry, file_sha256, load_registry
-from cucumbervision.networks.resize import fit
+from cucumbervision.networks.registry import Registry, load_registry
+from cucumbervision.networks.yolo import fit
 
 ROW_A = "simulated-row-a"
 Array = NDArray[Any]
@@ -80,36 +79,11 @@ def own_registry(
     own_networks: dict[str, Path], tmp_path_factory: pytest.TempPathFactory
 ) -> Registry:
     """The package's SAM, and two embedded networks of the tests' own."""
-    folder, package = tmp_path_factory.mktemp("registry"), load_registry()
-    (folder / "weights").mkdir()
-    entries = []
-    for model in package.models:
-        if model.name == "mobile-sam":
-            files = ", ".join(
-                f'{{ role = "{f.role}", file = "{f.file}", sha256 = "{f.sha256}" }}'
-                for f in model.files
-            )
-            files = f'[{files}]\nsegmenter = "{model.segmenter}"'
-            entries.append(("mobile-sam", model.task, model.licence, files))
-            for path in package.resolve(model.name).values():
-                (folder / "weights" / path.name).symlink_to(path)
-    for task, name in (("segment", "tiny-seg"), ("pose", "tiny-pose")):
-        file = folder / "weights" / f"{name}.onnx"
-        shutil.copy(own_networks[task], file)
-        files = f'[{{ role = "network", file = "{file.name}", sha256 = "{file_sha256(file)}" }}]'
-        entries.append((name, task, "AGPL-3.0-only", files))
-    text = "".join(
-        f'[[models]]\nname = "{name}"\ntask = "{task}"\nlicence = "{licence}"\ntitle = "t"\n'
-        f'origin = "o"\nembedded = true\nfiles = {files}\n'
-        for name, task, licence, files in entries
-    )
-    (folder / "models.toml").write_text(text)
-    return load_registry(folder / "models.toml")
+    folder, sam = tmp_path_factory.mktemp("registry"), load_registry().get("mobile-sam")
+    return registry_of(folder, sam, **own_networks)
 
 
 @pytest.fixture(scope="session")
 def bare_registry(tmp_path_factory: pytest.TempPathFactory) -> Registry:
     """A registry without any network."""
-    folder = tmp_path_factory.mktemp("bare")
-    (folder / "models.toml").write_text("models = []\n")
-    return load_registry(folder / "models.toml")
+    return registry_of(tmp_path_factory.mktemp("bare"))

@@ -19,15 +19,16 @@ from cucumbervision.methods.result import MethodName
 from cucumbervision.run.batch import (
     Engine,
     Item,
+    Listed,
     Outcome,
     Processes,
     ResultWorker,
     Worker,
     in_process,
     in_turn,
+    list_captures,
     measure_all,
 )
-from cucumbervision.run.inputs import Listed, list_captures
 from cucumbervision.run.measurer import Failure, Measurer
 from cucumbervision.run.options import MeasureOptions
 from cucumbervision.run.whole_run import BatchOptions, measure_inputs

@@ -13,9 +13,8 @@ from cucumbervision.capture.frames import Capture
 from cucumbervision.errors import CucumberVisionError, ModelError
 from cucumbervision.fruit.mask_codes import decode_rle
 from cucumbervision.networks.registry import Registry
-from cucumbervision.run.batch import Item
+from cucumbervision.run.batch import Item, Listed
 from cucumbervision.run.detect import DetectResult, detect_inputs, find_pictures
-from cucumbervision.run.inputs import Listed
 from cucumbervision.run.measurer import Failure
 from cucumbervision.run.options import MeasureOptions
 
@@ -55,7 +54,7 @@ def test_bad_pictures_lose_nothing_of_the_rest(
 ) -> None:
     result, seen = run
     assert [picture.name for picture in result.pictures] == ["a.png", "more/a.webp"]
-    assert [len(picture.entries) for picture in result.pictures] == [3, 3]
+    assert [len(picture.fruit) for picture in result.pictures] == [3, 3]
     assert result.skipped == 1
     assert seen == [(1, 3), (2, 3), (3, 3)]
     with (result.out / "failures.csv").open(encoding="utf-8-sig") as stream:
@@ -94,7 +93,7 @@ def test_pictures_classes_and_provenance(run: tuple[DetectResult, list[tuple[int
     assert [(c["id"], c["name"]) for c in page["categories"]] == [(1, "cucumber")]
     assert page["categories"][0]["keypoints"][0] == "blossom_end"
     names = [m["name"] for m in page["info"]["models"]]
-    assert names == ["tiny-seg", "tiny-pose", "mobile-sam"]
+    assert names == ["tiny-segment", "tiny-pose", "mobile-sam"]
     assert page["info"]["options"]["segmenter"] is None
 
 
@@ -149,7 +148,7 @@ def test_the_detectors_masks(
     result = detect_inputs([photos / "a.png"], tmp_path, options, registry=own_registry)
     entries = read(result, "results.json")
     assert [e["mask_source"] for e in entries] == ["detector"] * 2
-    assert [m["name"] for m in result.models] == ["tiny-seg", "tiny-pose"]
+    assert [m["name"] for m in result.models] == ["tiny-segment", "tiny-pose"]
 
 
 def test_ones_own_networks(

@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from cucumbervision.capture.frames import Capture
-from cucumbervision.errors import ModelError, ModelHashError
+from cucumbervision.errors import ModelError
 from cucumbervision.fruit.instance import UNKNOWN_ORDER, Instance, MaskSource
 from cucumbervision.fruit.masks import box_iou, box_of_mask
 from cucumbervision.methods.result import MethodName, Reason
@@ -16,7 +16,7 @@ from cucumbervision.methods.selector import measure_fruit
 from cucumbervision.methods.table import AVAILABLE
 from cucumbervision.networks.find import Detectors
 from cucumbervision.networks.registry import Registry, load_registry
-from cucumbervision.run.finders import make_finder
+from cucumbervision.run.finders import Finder
 from cucumbervision.run.options import MeasureOptions
 
 
@@ -26,11 +26,15 @@ def plain(row_a: Capture) -> Capture:
     return replace(row_a, masks=())
 
 
+def names_of(finder: Finder) -> list[str]:
+    return [model["name"] for model in finder.networks.models]
+
+
 def test_models_find_each_fruit_once_with_keypoints_and_sams_mask(
     row_a: Capture, own_registry: Registry
 ) -> None:
     options = MeasureOptions(instances="models", segmenter="mobile-sam")
-    finder = make_finder(options, own_registry)
+    finder = Finder(options, own_registry)
     instances = finder.find(row_a).instances
     # The half that was found once more is the first fruit.
     assert len(instances) == len(row_a.masks)
@@ -40,17 +44,17 @@ def test_models_find_each_fruit_once_with_keypoints_and_sams_mask(
         assert instance.detector_mask is not None
         assert instance.keypoints is not None
         assert instance.keypoints[0, 1] > instance.keypoints[4, 1]  # the blossom end hangs
-    assert [m["name"] for m in finder.networks.models] == ["tiny-seg", "tiny-pose", "mobile-sam"]
-    assert finder.networks.models[0]["sha256"] == own_registry.hashes("tiny-seg")["network"]
+    assert names_of(finder) == ["tiny-segment", "tiny-pose", "mobile-sam"]
+    assert finder.networks.models[0]["sha256"] == own_registry.hashes("tiny-segment")["network"]
 
 
 def test_sam_draws_only_where_the_detectors_mask_fits_no_tube(
     plain: Capture, own_registry: Registry
 ) -> None:
-    finder = make_finder(MeasureOptions(instances="models"), own_registry)
+    finder = Finder(MeasureOptions(instances="models"), own_registry)
     bright = finder.find(plain).instances
     assert [instance.mask_source for instance in bright] == [MaskSource.DETECTOR] * 3
-    assert [m["name"] for m in finder.networks.models] == ["tiny-seg", "tiny-pose"]
+    assert names_of(finder) == ["tiny-segment", "tiny-pose"]
     dark = plain.depth_m.copy()
     left, top, right, bottom = bright[0].box.round().astype(int)
     dark[top : bottom + 1, left : right + 1] = 0
@@ -62,13 +66,13 @@ def test_sam_draws_only_where_the_detectors_mask_fits_no_tube(
     ]
     assert len(instances) == 3
     assert [box_iou(instance.box, bright[0].box) for instance in drawn] == [1.0]
-    assert [m["name"] for m in finder.networks.models] == ["tiny-seg", "tiny-pose", "mobile-sam"]
+    assert names_of(finder) == ["tiny-segment", "tiny-pose", "mobile-sam"]
 
 
 def test_the_tube_that_judged_a_mask_is_the_fruits_and_is_fitted_once(
     plain: Capture, own_registry: Registry
 ) -> None:
-    detections = make_finder(MeasureOptions(instances="models"), own_registry).find(plain)
+    detections = Finder(MeasureOptions(instances="models"), own_registry).find(plain)
     for instance, tube in zip(detections.instances, detections.tubes, strict=True):
         assert tube is not None
         refitted = measure_fruit(plain, instance).measurements[MethodName.M6]
@@ -86,7 +90,7 @@ def test_the_tube_that_judged_a_mask_is_the_fruits_and_is_fitted_once(
 def test_auto_looks_where_there_are_no_masks_and_loads_nothing_before(
     row_a: Capture, plain: Capture, own_registry: Registry
 ) -> None:
-    finder = make_finder(MeasureOptions(segmenter=None), own_registry)
+    finder = Finder(MeasureOptions(segmenter=None), own_registry)
     instances = finder.find(row_a).instances
     assert [instance.mask_source for instance in instances] == [MaskSource.DATASET] * 3
     assert finder.networks.models == []
@@ -99,37 +103,24 @@ def test_auto_looks_where_there_are_no_masks_and_loads_nothing_before(
 def test_auto_without_any_detector_still_takes_a_data_sets_masks(
     row_a: Capture, plain: Capture, bare_registry: Registry
 ) -> None:
-    finder = make_finder(MeasureOptions(), bare_registry)
+    finder = Finder(MeasureOptions(), bare_registry)
     assert len(finder.find(row_a).instances) == 3
     with pytest.raises(ModelError, match="without a cucumber detector"):
         finder.find(plain)
-
-
-def test_models_that_are_not_there_stop_the_run(bare_registry: Registry) -> None:
-    with pytest.raises(ModelError, match="this version comes without a cucumber detector"):
-        make_finder(MeasureOptions(instances="models"), bare_registry)
-
-
-def test_a_damaged_network_stops_the_run(own_registry: Registry, tmp_path: Path) -> None:
-    (tmp_path / "weights").mkdir()
-    (tmp_path / "weights" / "tiny-seg.onnx").write_bytes(b"\x08")
-    broken = Registry(own_registry.models, tmp_path / "weights", tmp_path)
-    with pytest.raises(ModelHashError, match=r"tiny-seg\.onnx"):
-        make_finder(MeasureOptions(instances="models"), broken)
 
 
 def test_a_pose_network_of_ones_own_gives_keypoints_to_the_data_sets_masks(
     row_a: Capture, own_networks: dict[str, Path], bare_registry: Registry
 ) -> None:
     options = MeasureOptions(instances="dataset", pose=own_networks["pose"])
-    instances = make_finder(options, bare_registry).find(row_a).instances
+    instances = Finder(options, bare_registry).find(row_a).instances
     assert all(instance.keypoints is not None for instance in instances)
     assert all(instance.mask_source is MaskSource.DATASET for instance in instances)
 
 
 def test_the_look_at_each_fruit_orders_the_points_of_a_pose_network(row_a: Capture) -> None:
     pose = load_registry().resolve("cucumber-pose")["network"]
-    finder = make_finder(MeasureOptions(instances="dataset", pose=pose))
+    finder = Finder(MeasureOptions(instances="dataset", pose=pose))
     posed = [x for x in finder.find(row_a).instances if x.keypoints is not None]
     assert posed
     for instance in posed:
@@ -143,12 +134,12 @@ def test_the_look_at_each_fruit_orders_the_points_of_a_pose_network(row_a: Captu
 def test_a_pose_network_must_be_one(own_networks: dict[str, Path], own_registry: Registry) -> None:
     options = MeasureOptions(instances="models", pose=own_networks["segment"])
     with pytest.raises(ModelError, match=r"seg\.onnx: it is a segment network .*--pose"):
-        make_finder(options, own_registry)
+        Finder(options, own_registry)
 
 
 def test_m4_measures_by_perceived_keypoints(row_a: Capture, own_registry: Registry) -> None:
     options = MeasureOptions(instances="models", segmenter="none")
-    for instance in make_finder(options, own_registry).find(row_a).instances:
+    for instance in Finder(options, own_registry).find(row_a).instances:
         fruit = measure_fruit(row_a, instance)
         m4, m3 = fruit.measurements[MethodName.M4], fruit.measurements[MethodName.M3]
         # From the outermost pixels' middles along a hanging fruit: M3's extent, about.
@@ -159,19 +150,10 @@ def test_m4_measures_by_perceived_keypoints(row_a: Capture, own_registry: Regist
         assert m4.length_m == pytest.approx(m3.length_m, rel=0.06)
 
 
-def test_the_packages_own_networks_come_with_a_card() -> None:
-    registry = load_registry()
-    for model in registry.models:
-        if model.task in ("segment", "pose"):
-            assert model.embedded
-            assert (model.licence, bool(model.card)) == ("AGPL-3.0-only", True)
-            assert list(registry.resolve(model.name)) == ["network"]
-
-
 def test_a_picture_is_turned_upright_before_the_networks_see_it(
     plain: Capture, own_registry: Registry
 ) -> None:
-    finder = make_finder(MeasureOptions(instances="models"), own_registry)
+    finder = Finder(MeasureOptions(instances="models"), own_registry)
     color, depth_m = plain.color[::-1, ::-1].copy(), plain.depth_m[::-1, ::-1].copy()
     turned = replace(plain, color=color, depth_m=depth_m, gravity=(0.0, -1.0, 0.0))
     found = finder.find(turned).instances
@@ -192,7 +174,7 @@ def test_a_picture_without_a_clear_fruit_is_turned_where_up_is_unknown(
         return (replace(fruit, confidence=0.9) if color_rgb[-1, 0, 0] else fruit,)
 
     monkeypatch.setattr(Detectors, "find", find)
-    finder = make_finder(MeasureOptions(instances="models", segmenter="none"), own_registry)
+    finder = Finder(MeasureOptions(instances="models", segmenter="none"), own_registry)
     for gravity, confidence, turns in ((None, 0.9, -1), ((0.0, 1.0, 0.0), 0.3, 0)):
         (found,) = finder.find(replace(plain, color=color, gravity=gravity)).instances
         assert (found.confidence, *found.box) == (confidence, *fruit.turned(turns, shape).box)

@@ -4,7 +4,6 @@ import errno
 import pickle
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -38,9 +37,6 @@ from cucumbervision.run.measurer import (
 )
 from cucumbervision.run.options import MeasureOptions
 from cucumbervision.run.whole_run import FolderWorker, OutputFolder, measure_inputs
-
-if TYPE_CHECKING:
-    pass
 
 
 def test_lengths_scale_with_the_depth_through_the_whole_run(tmp_path: Path) -> None:

@@ -17,22 +17,18 @@ from cucumbervision.run.measurer import Measurer
 from cucumbervision.run.options import MeasureOptions, read_pack
 
 
-def test_methods_are_read_from_text_and_keep_their_own_order() -> None:
-    given: dict[str, Any] = {"methods": "M5, m1"}
-    assert MeasureOptions(**given).methods == (MethodName.M1, MethodName.M5)
-    given = {"methods": "ALL"}
-    assert MeasureOptions(**given) == MeasureOptions()
-
-
-def test_names_are_taken_for_what_they_name() -> None:
-    given: dict[str, Any] = {"length": "chord", "selector": "paper", "methods": ("m1", "M5")}
-    assert MeasureOptions(**given) == MeasureOptions(
-        length=LengthDefinition.CHORD,
-        selector=Selector.PAPER,
-        methods=(MethodName.M1, MethodName.M5),
-    )
-    given = {"methods": "m6"}
-    assert MeasureOptions(**given).methods == (MethodName.M6,)
+@pytest.mark.parametrize(
+    ("given", "meant"),
+    [
+        ({"methods": "M5, m1"}, {"methods": (MethodName.M1, MethodName.M5)}),
+        ({"methods": ("m1", "M5")}, {"methods": (MethodName.M1, MethodName.M5)}),
+        ({"methods": "ALL"}, {}),
+        ({"length": "chord"}, {"length": LengthDefinition.CHORD}),
+        ({"selector": "paper"}, {"selector": Selector.PAPER}),
+    ],
+)
+def test_names_are_taken_for_what_they_name(given: dict[str, Any], meant: dict[str, Any]) -> None:
+    assert MeasureOptions(**given) == MeasureOptions(**meant)
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,6 @@ from typing import Any
 
 import pytest
 
-from cucumbervision.run.fields import Cell
 from cucumbervision.run.tables import Summary
 
 
@@ -44,9 +43,7 @@ def test_a_unit_is_suggested_where_half_of_the_fruit_are_too_large(
 
 def test_several_classes_and_what_was_left_out_are_told() -> None:
     summary = Summary()
-    row: dict[str, Cell] = {"length_cm": 12.5, "method": "M6", "mask_source": None}
-    row["simulated"] = False
-    summary.add([row | {"label": "cucumber"}, row | {"label": "leaf"}], left_out={"stem": 2})
+    summary.add([SOUND | {"label": "cucumber"}, SOUND | {"label": "leaf"}], left_out={"stem": 2})
     told = summary.doubts()
     assert told[0].startswith("measured as fruit: 1 of class cucumber, 1 of class leaf; --classes")
     assert told[1] == "left out: 2 of class stem"
@@ -54,10 +51,8 @@ def test_several_classes_and_what_was_left_out_are_told() -> None:
 
 def test_doubts_of_the_data_are_told_once_with_the_remedy() -> None:
     summary = Summary()
-    row: dict[str, Cell] = {"length_cm": 12.5, "method": "M6", "mask_source": None}
-    row["simulated"] = False
     for flags in ("principal-point", "ends-unsure principal-point", ""):
-        summary.add([row | {"flags": flags}])
+        summary.add([row(18.0, flags=flags)])
     (line,) = summary.doubts()
     assert line.startswith("2 of 3 fruit: the intrinsics' principal point lies off the middle")
     assert "check that" in line

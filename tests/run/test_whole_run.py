@@ -3,9 +3,10 @@ from __future__ import annotations
 import csv
 import json
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -20,7 +21,7 @@ from cucumbervision.errors import CucumberVisionError, UnknownModelError
 from cucumbervision.files import cell_value
 from cucumbervision.methods.result import MethodName
 from cucumbervision.run.batch import Outcome
-from cucumbervision.run.finders import make_finder
+from cucumbervision.run.finders import Finder
 from cucumbervision.run.options import MeasureOptions
 from cucumbervision.run.whole_run import BatchOptions, CaptureRecord, measure_inputs
 
@@ -133,33 +134,34 @@ def test_captures_of_one_name_get_pictures_of_their_own(tmp_path: Path) -> None:
     assert all(row["m5_cm"] is None for row in result.rows)
 
 
+FIRST_FRUIT = (180.0, 85.0, 80.0, 295.0)  # x, y, width, height
+
+
+def coco(
+    path: Path, boxes: Sequence[Sequence[float]] = (), *others: Any, names: Sequence[str] = (ROW_A,)
+) -> MeasureOptions:
+    """Write boxes of the first image, and further annotations, and return options for them."""
+    of_first = {"image_id": 0, "category_id": 1}
+    labels = [{"id": k, **of_first, "bbox": box} for k, box in enumerate(boxes, 1)]
+    content = {
+        "images": [{"id": k, "file_name": name} for k, name in enumerate(names)],
+        "annotations": [*labels, *others],
+        "categories": [{"id": 1, "name": "cucumber"}],
+    }
+    path.write_text(json.dumps(content))
+    return MeasureOptions(instances=str(path))
+
+
 def test_a_capture_without_fruit_is_a_picture_without_rows(tmp_path: Path) -> None:
-    boxes = tmp_path / "boxes.json"
-    boxes.write_text(json.dumps({"images": [{"id": 1, "file_name": ROW_A}], "annotations": [],
-                                 "categories": [{"id": 1, "name": "cucumber"}]}))  # fmt: skip
-    result = measure_inputs(
-        [example_captures() / ROW_A], tmp_path / "out", MeasureOptions(instances=str(boxes))
-    )
+    options = coco(tmp_path / "boxes.json")
+    result = measure_inputs([example_captures() / ROW_A], tmp_path / "out", options)
     assert (result.captures, result.rows, result.failures) == (1, [], [])
     assert (tmp_path / "out" / "overlays" / f"{ROW_A}.png").exists()
 
 
 def test_boxes_from_a_file_are_refined_by_sam_and_bad_ones_are_noted(tmp_path: Path) -> None:
-    box = [180.0, 85.0, 80.0, 295.0]  # around the first fruit, x y w h
-    outside = [900.0, 10.0, 40.0, 40.0]
-    content = {
-        "images": [{"id": 1, "file_name": ROW_A, "width": 848, "height": 480}],
-        "categories": [{"id": 1, "name": "cucumber"}],
-        "annotations": [
-            {"id": k, "image_id": 1, "category_id": 1, "bbox": b}
-            for k, b in enumerate((box, outside), 1)
-        ],
-    }
-    boxes = tmp_path / "boxes.json"
-    boxes.write_text(json.dumps(content))
-    result = measure_inputs(
-        [example_captures() / ROW_A], tmp_path / "out", MeasureOptions(instances=str(boxes))
-    )
+    options = coco(tmp_path / "boxes.json", [FIRST_FRUIT, (900.0, 10.0, 40.0, 40.0)])
+    result = measure_inputs([example_captures() / ROW_A], tmp_path / "out", options)
     assert len(result.rows) == 1
     row = result.rows[0]
     assert row["mask_source"] == "sam"
@@ -173,30 +175,21 @@ def test_boxes_from_a_file_are_refined_by_sam_and_bad_ones_are_noted(tmp_path: P
 @pytest.mark.parametrize("named", [True, False])
 def test_a_file_for_other_pictures_measures_none_of_them(tmp_path: Path, named: bool) -> None:
     # Its image id is the capture's running number, and its name another picture's.
-    names = [ROW_A, "elsewhere.png"] if named else ["elsewhere.png"]
-    content = {
-        "images": [{"id": 1 - k, "file_name": name} for k, name in enumerate(names)],
-        "annotations": [{"id": 1, "image_id": 0, "category_id": 1, "bbox": [180, 85, 80, 295]}],
-        "categories": [{"id": 1, "name": "cucumber"}],
-    }
-    unknown = [f"image id {number}" for number in range(90, 98)] if named else []
-    content["annotations"] += [
-        {"id": number, "image_id": number, "category_id": 1, "bbox": [1, 1, 9, 9]}
-        for number in range(90, 90 + len(unknown))
+    names = ["elsewhere.png", ROW_A] if named else ["elsewhere.png"]
+    unknown = [
+        {"id": k, "image_id": k, "category_id": 1, "bbox": [1, 1, 9, 9]} for k in range(90, 98)
     ]
-    boxes = tmp_path / "boxes.json"
-    boxes.write_text(json.dumps(content))
-    result = measure_inputs(
-        [example_captures()],
-        tmp_path / "out",
-        MeasureOptions(instances=str(boxes), segmenter="none"),
-    )
+    path = tmp_path / "boxes.json"
+    options = coco(path, [FIRST_FRUIT], *(unknown if named else ()), names=names)
+    options = replace(options, segmenter="none")
+    result = measure_inputs([example_captures()], tmp_path / "out", options)
     assert result.rows == []
     if named:
         assert result.failures == []
         assert result.notes == [
-            f"{boxes}: no fruit given for simulated-bench, simulated-row-b",
-            f"{boxes}: no capture is called elsewhere.png, {', '.join(unknown)}",
+            f"{path}: no fruit given for simulated-bench, simulated-row-b",
+            f"{path}: no capture is called elsewhere.png, "
+            + ", ".join(f"image id {number}" for number in range(90, 98)),
         ]
         report = json.loads((tmp_path / "out" / "measurements.json").read_text(encoding="utf-8"))
         assert report["notes"] == result.notes
@@ -208,11 +201,8 @@ def test_a_file_for_other_pictures_measures_none_of_them(tmp_path: Path, named: 
 def test_the_second_capture_that_one_label_names_is_not_measured(tmp_path: Path) -> None:
     for folder, capture in (("h1", ROW_A), ("h2", "simulated-row-b")):
         shutil.copytree(example_captures() / capture, tmp_path / folder / "cap")
-    label = {"image_id": 1, "category_id": 1, "bbox": [180, 85, 80, 295]}
-    content = {"images": [{"id": 1, "file_name": "cap"}], "annotations": [label]}
-    boxes = tmp_path / "boxes.json"
-    boxes.write_text(json.dumps(content))
-    options = MeasureOptions(instances=str(boxes), segmenter="none")
+    options = coco(tmp_path / "boxes.json", [FIRST_FRUIT], names=["cap"])
+    options = replace(options, segmenter="none")
     result = measure_inputs([tmp_path / "h1", tmp_path / "h2"], tmp_path / "out", options)
     assert ([row["capture"] for row in result.rows], result.exit_code) == ([ROW_A], 1)
     (failure,) = result.failures
@@ -240,7 +230,7 @@ def test_the_dataset_is_asked_for_masks_that_it_lacks(tmp_path: Path) -> None:
 
 def test_a_segmenter_that_is_not_here_stops_the_run_at_once() -> None:
     with pytest.raises(UnknownModelError, match="choose one of mobile-sam"):
-        make_finder(MeasureOptions(segmenter="sam-vit-b"))
+        Finder(MeasureOptions(segmenter="sam-vit-b"))
 
 
 def test_an_output_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
@@ -303,12 +293,8 @@ def test_a_batch_whose_lengths_are_all_impossible_says_what_would_explain_it(
     small = replace(capture, depth_m=capture.depth_m * np.float32(unit_m / 0.001), masks=())
     far = np.where(small.depth_m < 5.5, small.depth_m * np.float32(0.85), 0).astype(np.float32)
     write_native(replace(small, depth_m=far if note else small.depth_m), folder)
-    boxes = tmp_path / "boxes.json"
-    box = [180.0, 85.0, 80.0, 295.0]
-    image = {"id": 1, "file_name": capture.name}
-    annotation = {"id": 1, "image_id": 1, "category_id": 1, "bbox": box}
-    boxes.write_text(json.dumps({"images": [image], "annotations": [annotation]}))
-    result = measure_inputs([folder], tmp_path / "out", MeasureOptions(instances=str(boxes)))
+    options = coco(tmp_path / "boxes.json", [FIRST_FRUIT], names=[capture.name])
+    result = measure_inputs([folder], tmp_path / "out", options)
     (row,) = result.rows
     assert (row["length_cm"] is None) == (note is not None)
     assert (row["reason"] == "implausible-length") == (note is not None)

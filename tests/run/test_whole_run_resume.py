@@ -4,21 +4,15 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import shutil
 import subprocess
 import sys
-import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import ReadOptions, example_captures
-from cucumbervision.errors import CaptureError
 from cucumbervision.methods.result import MethodName
 from cucumbervision.run.batch import Outcome
 from cucumbervision.run.options import MeasureOptions
@@ -195,33 +189,6 @@ def test_json_is_written_as_one_value_a_line(run: Watched) -> None:
     run()
     text = (run.out / "measurements.json").read_text(encoding="utf-8")
     assert text == json.dumps(json.loads(text), indent=1, ensure_ascii=False) + "\n"
-
-
-@contextmanager
-def as_nobody() -> Iterator[None]:
-    """Be a user whom modes of files stop; the superuser passes them all."""
-    before = os.geteuid()
-    if before == 0:
-        os.seteuid(65534)
-    try:
-        yield
-    finally:
-        os.seteuid(before)
-
-
-def test_a_folder_that_may_not_be_looked_into_is_a_failure() -> None:
-    with tempfile.TemporaryDirectory() as folder:  # pytest's own are closed to others
-        house = Path(shutil.copytree(example_captures(), Path(folder) / "house"))
-        closed = house / "closed"
-        closed.mkdir()
-        Path(folder).chmod(0o755)
-        closed.chmod(0)
-        with as_nobody():
-            *refs, refused = open_source(house)
-        assert tuple(ref.name for ref in refs) == NAMES
-        said = f"{closed}: cannot be read (Permission denied); check who may read it"
-        with pytest.raises(CaptureError, match=f"^{re.escape(said)}$"):
-            refused.load()
 
 
 def test_ctrl_c_ends_after_the_running_captures(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from tests.greenhouse.conftest import add_one
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
 from cucumbervision.methods.selector import measure_fruit
-from cucumbervision.run.finders import make_finder
+from cucumbervision.run.finders import Finder
 from cucumbervision.run.options import MeasureOptions
 from cucumbervision.run.whole_run import measure_inputs
 from cucumbervision_greenhouse.rounds.adding import add_captures
@@ -63,7 +63,7 @@ def test_every_surface_gives_the_same_lengths(tmp_path: Path, with_masks: bool) 
             assert [found[n] for n in sorted(found)] == [
                 {name: row[name] for name in found[1]} for row in rows
             ]
-    instances = make_finder(MeasureOptions()).find(capture).instances
+    instances = Finder(MeasureOptions()).find(capture).instances
     for row, instance in zip(rows, instances, strict=True):
         fruit = measure_fruit(capture, instance)
         assert fruit.length is not None

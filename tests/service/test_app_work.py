@@ -11,18 +11,8 @@ import pytest
 from cucumbervision.capture.frames import Capture
 from cucumbervision.errors import UploadError
 from cucumbervision.run.measurer import Measurer
-from cucumbervision.service.app import BusyError, LeftError, ServiceSettings, Work
+from cucumbervision.service.app import ServiceSettings, Work
 from cucumbervision.service.client import packed
-
-
-def test_nothing_is_begun_for_a_client_that_has_left(measurer: Measurer, bench: Capture) -> None:
-    work, asked = Work(measurer, ServiceSettings()), [False, True]
-    with pytest.raises(LeftError), work.turn(lambda: True):
-        raise AssertionError
-    two = [(f"{n}.zip", io.BytesIO(packed(replace(bench, name=n))[1])) for n in ("a", "b", "c")]
-    # It leaves while the first capture is read.
-    reply = work.measure(two, lambda: asked.pop(0) if asked else True)
-    assert reply.captures == []
 
 
 def test_requests_take_turns(measurer: Measurer, bench: Capture) -> None:
@@ -40,18 +30,6 @@ def test_requests_take_turns(measurer: Measurer, bench: Capture) -> None:
     for thread in threads:
         thread.join(30)
     assert most == [1]
-
-
-def test_as_many_may_wait_as_the_settings_say(measurer: Measurer) -> None:
-    work = Work(measurer, ServiceSettings(waiting=1))
-    busy = pytest.raises(BusyError, match="too many requests are waiting; send it again later")
-    with work.place(), work.place(), busy, work.place():
-        raise AssertionError
-    # Whoever leaves, also by an error, makes room.
-    with pytest.raises(ZeroDivisionError), work.place():
-        _ = 1 / 0
-    with work.place(), work.place():
-        pass
 
 
 def test_what_was_sent_is_answered_under_its_own_name(measurer: Measurer, bench: Capture) -> None:

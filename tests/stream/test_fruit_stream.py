@@ -31,8 +31,9 @@ from cucumbervision.stream.fruit_stream import (
     FruitStream,
     StreamedFrame,
     line_model,
+    open_stream,
+    stream_camera,
 )
-from cucumbervision.stream.sources import open_stream, stream_camera
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.fruit.instance import Instance
-from cucumbervision.stream.tracks import Sighting, Tracker, sighting_of
+from cucumbervision.stream.tracks import Sighting, Track, Tracker, sighting_of
 
 CAMERA = Intrinsics(848, 480, 616.0, 616.0, 424.0, 240.0)
 
@@ -42,11 +42,19 @@ class Row:
         return names, views
 
 
+def numbers_of(tracks: list[Track]) -> list[int]:
+    return [track.number for track in tracks]
+
+
+def assigned(tracker: Tracker, views: list[Sighting], now_s: float) -> list[int]:
+    return numbers_of(tracker.assign(views, CAMERA, now_s))
+
+
 def walk(row: Row, speed_m_s: float, fps: float, frames: int) -> list[dict[int, int]]:
     tracker, found = Tracker(), []
     for k in range(frames):
         names, views = row.seen(speed_m_s * k / fps)
-        numbers = tracker.assign(views, CAMERA, k / fps)
+        numbers = assigned(tracker, views, k / fps)
         assert len(set(numbers)) == len(numbers)
         found.append(dict(zip(names, numbers, strict=True)))
     return found
@@ -88,7 +96,7 @@ def test_a_fruit_that_a_leaf_hides_comes_back_with_its_number() -> None:
     for k in range(16):
         names, views = row.seen(0.01 * k)
         kept = [j for j, name in enumerate(names) if not (name == 2 and 5 <= k < 10)]
-        got = tracker.assign([views[j] for j in kept], CAMERA, k / 15)
+        got = assigned(tracker, [views[j] for j in kept], k / 15)
         for j, number in zip(kept, got, strict=True):
             numbers.setdefault(names[j], set()).add(number)
     assert [len(own) for own in numbers.values()] == [1] * len(numbers)
@@ -97,11 +105,11 @@ def test_a_fruit_that_a_leaf_hides_comes_back_with_its_number() -> None:
 def test_a_fruit_out_of_sight_for_too_long_is_another() -> None:
     tracker = Tracker(keep_s=1.0)
     view = Sighting(np.array([0.0, 0.0, 0.5]), 100, 100, np.ones((20, 5), bool))
-    assert tracker.assign([view], CAMERA, 0.0) == [1]
+    assert assigned(tracker, [view], 0.0) == [1]
     for at_s in (0.3, 0.6, 0.9):
-        assert tracker.assign([], CAMERA, at_s) == []
-    assert tracker.numbers == {1}
-    assert tracker.assign([view], CAMERA, 1.2) == [2]
+        assert assigned(tracker, [], at_s) == []
+    assert numbers_of(tracker.tracks) == [1]
+    assert assigned(tracker, [view], 1.2) == [2]
 
 
 def test_a_loaded_computer_that_takes_a_frame_in_three_seconds_keeps_every_number() -> None:
@@ -109,26 +117,26 @@ def test_a_loaded_computer_that_takes_a_frame_in_three_seconds_keeps_every_numbe
     pairs = set()
     for frame in range(20):
         names, views = row.seen(0.1)
-        pairs |= set(zip(names, tracker.assign(views, CAMERA, 3.0 * frame), strict=True))
+        pairs |= set(zip(names, assigned(tracker, views, 3.0 * frame), strict=True))
     assert len(pairs) == 2
 
 
 def test_a_clock_that_is_set_back_keeps_no_fruit_of_the_future() -> None:
     row = rows_of(6, 3, 0.2)
     tracker = Tracker()
-    tracker.assign(row.seen(0.1)[1], CAMERA, 3600.0)
-    before = tracker.numbers
-    tracker.assign(row.seen(0.1)[1], CAMERA, 0.0)
+    assigned(tracker, row.seen(0.1)[1], 3600.0)
+    before = {*numbers_of(tracker.tracks)}
+    assigned(tracker, row.seen(0.1)[1], 0.0)
     assert before
-    assert not before & tracker.numbers
+    assert not before & {*numbers_of(tracker.tracks)}
 
 
 def test_time_that_stands_still_does_not_pile_up_fruit() -> None:
     row = rows_of(7, 220, 0.4)
     tracker = Tracker()
     for frame in range(400):  # every other shows another fruit
-        tracker.assign(row.seen(0.2 * frame)[1], CAMERA, 5.0)
-    assert len(tracker.numbers) < 130
+        assigned(tracker, row.seen(0.2 * frame)[1], 5.0)
+    assert len(tracker.tracks) < 130
 
 
 def test_without_depth_the_masks_tell() -> None:
@@ -136,11 +144,11 @@ def test_without_depth_the_masks_tell() -> None:
     a = Sighting(nowhere, 100, 100, np.ones((20, 5), bool))
     b = Sighting(nowhere, 100, 300, np.ones((20, 5), bool))
     tracker = Tracker()
-    assert tracker.assign([a, b], CAMERA, 0.0) == [1, 2]
+    assert assigned(tracker, [a, b], 0.0) == [1, 2]
     moved = Sighting(nowhere, 104, 304, np.ones((20, 5), bool))
-    assert tracker.assign([moved, a], CAMERA, 0.1) == [2, 1]
+    assert assigned(tracker, [moved, a], 0.1) == [2, 1]
     far = Sighting(nowhere, 100, 600, np.ones((20, 5), bool))
-    assert tracker.assign([far], CAMERA, 0.2) == [3]
+    assert assigned(tracker, [far], 0.2) == [3]
 
 
 def test_the_middle_of_a_mask_lies_where_its_readings_are() -> None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, get_type_h
 import typer
 
 from cucumbervision.capture import DepthAlong, Stream
-from cucumbervision.networks.confidence import DEFAULT_CONFIDENCE
+from cucumbervision.networks import DEFAULT_CONFIDENCE
 
 if TYPE_CHECKING:
     from cucumbervision.run.batch import LoopOptions
@@ -149,7 +149,7 @@ def measure_options(
     from cucumbervision.capture.source import ReadOptions
     from cucumbervision.crop.profiles import PACK_PROFILE, load_profile, profile_path
     from cucumbervision.methods.result import LengthDefinition, Selector
-    from cucumbervision.networks.confidence import parse_input_sizes
+    from cucumbervision.networks.yolo import parse_input_sizes
     from cucumbervision.run.options import MeasureOptions
 
     options = MeasureOptions(
@@ -192,7 +192,7 @@ def loop_options(
     from cucumbervision.run.batch import LoopOptions, Processes
 
     if ray:
-        from cucumbervision.run.ray_engine import RayEngine
+        from cucumbervision.run.batch import RayEngine
 
         return LoopOptions(engine=RayEngine(ray, workers))
     return LoopOptions(engine=Processes(workers)) if workers > 1 else LoopOptions()

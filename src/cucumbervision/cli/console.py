@@ -12,15 +12,7 @@ from textwrap import shorten
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TaskProgressColumn,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
+from rich.progress import MofNCompleteColumn, Progress
 from rich.table import Table
 
 from cucumbervision.crop.grades import GradingTraits, grade
@@ -28,8 +20,8 @@ from cucumbervision.crop.profiles import load_profile
 from cucumbervision.fruit.instance import MaskSource
 from cucumbervision.methods.flags import flag_remarks, is_lower_bound
 from cucumbervision.methods.result import LengthDefinition
+from cucumbervision.run.batch import count_captures
 from cucumbervision.run.detect import detect_inputs
-from cucumbervision.run.inputs import count_captures
 from cucumbervision.run.whole_run import measure_inputs
 
 if TYPE_CHECKING:
@@ -171,18 +163,9 @@ def progress_bar(console: Console) -> Progress:
 
     It is shown on terminals only, and removed at the end.
     """
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TaskProgressColumn(show_speed=True),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-        console=console,
-        disable=console.quiet or not console.is_terminal,
-        transient=True,
-    )
+    hidden = console.quiet or not console.is_terminal
+    columns = (*Progress.get_default_columns(), MofNCompleteColumn())
+    return Progress(*columns, console=console, disable=hidden, transient=True)
 
 
 def _results_table(
@@ -263,8 +246,8 @@ def show_failures(failures: Sequence[Failure], out: Path | None = None) -> None:
 
 def summary_table(result: DetectResult) -> Table:
     """Return a table with the numbers of pictures and fruit, the mean score and the networks."""
-    scores = [entry["score"] for picture in result.pictures for entry in picture.entries]
-    empty = sum(not picture.entries for picture in result.pictures)
+    scores = [fruit["score"] for picture in result.pictures for fruit in picture.fruit]
+    empty = sum(not picture.fruit for picture in result.pictures)
     table = Table(show_header=False)
     without = f", {empty} without fruit" if empty else ""
     table.add_row("pictures", f"{len(result.pictures)}{without}")

@@ -6,9 +6,8 @@ import json
 import os
 import sys
 import time
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, TypeVar
 
 import typer
 
@@ -25,8 +24,6 @@ from cucumbervision.errors import CameraError, CucumberVisionError, MissingExtra
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-
-    from pydantic import BaseModel
 
     from cucumbervision.capture.camera import Recorded
     from cucumbervision.run.measurer import Failure
@@ -189,8 +186,7 @@ def stream(
     """
     from cucumbervision.capture.realsense import CameraConfig
     from cucumbervision.run.measurer import Measurer
-    from cucumbervision.stream.fruit_stream import FruitStream
-    from cucumbervision.stream.sources import open_stream
+    from cucumbervision.stream.fruit_stream import FruitStream, open_stream
 
     fruit = FruitStream.fast(options) if fast else FruitStream(Measurer(options))
     config = CameraConfig(serial=serial, fps=fps)
@@ -323,23 +319,19 @@ def serve(
     listen(service, address, port, ready=lambda: typer.echo(words, err=True))
 
 
-class Kind(StrEnum):
-    """JSON that programs read."""
-
-    STREAM = "stream"
-    MEASURE = "measure"
-    DETECT = "detect"
-
-
 def schema(
     kind: Annotated[
-        Kind, typer.Argument(help="A line of stream; or the reply to /measure or /detect.")
+        Literal["stream", "measure", "detect"],
+        typer.Argument(help="A line of stream; or the reply to /measure or /detect."),
     ],
 ) -> None:
     """Print the JSON Schema of a stream's line or a reply of the service."""
     from cucumbervision.service.app import DetectReply, MeasureReply
     from cucumbervision.stream.fruit_stream import line_model
 
-    models: dict[Kind, type[BaseModel]]
-    models = {Kind.STREAM: line_model(), Kind.MEASURE: MeasureReply, Kind.DETECT: DetectReply}
+    models: dict[str, Any] = {
+        "stream": line_model(),
+        "measure": MeasureReply,
+        "detect": DetectReply,
+    }
     typer.echo(json.dumps(models[kind].model_json_schema(mode="serialization"), indent=1))

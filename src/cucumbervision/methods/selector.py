@@ -29,7 +29,7 @@ from cucumbervision.methods.result import (
     calibration_key,
 )
 from cucumbervision.methods.table import AVAILABLE, Region, TableMethod, box_pixels, run_methods
-from cucumbervision.threads import OneThread
+from cucumbervision.tube.compiled import OneThread
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping

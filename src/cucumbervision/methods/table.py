@@ -13,7 +13,7 @@ from cucumbervision.errors import PluginError
 from cucumbervision.fruit.masks import mask_window
 from cucumbervision.methods.result import LengthDefinition, LengthKind, Measurement, Reason
 from cucumbervision.plugins import Plugin, own, plugins
-from cucumbervision.threads import OneThread
+from cucumbervision.tube.compiled import OneThread
 from cucumbervision.tube.shape import AlignedCloud, align_near
 
 if TYPE_CHECKING:

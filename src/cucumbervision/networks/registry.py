@@ -308,7 +308,16 @@ def use_network(
     """
     registry = registry or load_registry()
     judgement = _read_judgement(run_or_network)
-    path = _network_file(run_or_network, judgement)
+    path = run_or_network
+    if path.is_dir():
+        # The file name only: a comparison is about files in its own folder.
+        path /= Path(str(judgement.get("file", ""))).name[:_LONGEST_NAME]
+    if not path.is_file() or path.suffix != ".onnx":
+        raise ModelError(
+            "there is no exported and judged network",
+            source=run_or_network,
+            remedy="give the folder of a finished `train house` run, or an .onnx file",
+        )
     from cucumbervision.networks.yolo import YoloDetector
 
     task = YoloDetector(path, "onnxruntime").task
@@ -351,20 +360,6 @@ def _read_judgement(run_or_network: Path) -> Mapping[str, Any]:
     with wrap_reader_errors(path, ModelError, "judge it again"):
         values = read_json(path, ModelError, "judge it again")
         return {name: values[name] for name in ("file", "new", "old", "better", "why")}
-
-
-def _network_file(run_or_network: Path, judgement: Mapping[str, Any]) -> Path:
-    path = run_or_network
-    if run_or_network.is_dir():
-        # The file name only: a comparison is about files in its own folder.
-        path = run_or_network / Path(str(judgement.get("file", ""))).name[:_LONGEST_NAME]
-    if not path.is_file() or path.suffix != ".onnx":
-        raise ModelError(
-            "there is no exported and judged network",
-            source=run_or_network,
-            remedy="give the folder of a finished `train house` run, or an .onnx file",
-        )
-    return path
 
 
 def _require_better(

@@ -19,11 +19,16 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 from cucumbervision.errors import MissingExtraError, ModelError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
 
 Array: TypeAlias = np.ndarray[Any, np.dtype[Any]]
 
@@ -213,6 +218,48 @@ def open_network(
             why = "; OpenVINO cannot load it"
     chosen = "onnxruntime" if runtime == "auto" else runtime
     return _by_onnxruntime(path, source, chosen, full_precision=full_precision, why=why)
+
+
+def input_planes(
+    pixels: NDArray[np.uint8],
+    mean: Sequence[float] = (0.0,),
+    scale: Sequence[float] = (255.0,),
+    size_px: tuple[int, int] | None = None,
+) -> NDArray[np.float32]:
+    """Return pictures as an input that takes (level - mean) / scale by planes.
+
+    Parameters
+    ----------
+    pixels : ndarray of uint8, shape (N, H, W, C)
+        The pictures.
+    mean, scale : sequence of float
+        One of each per channel, or one for all.
+    size_px : tuple of int, optional
+        Height and width of the input; zeros fill it to the right and below.
+
+    Returns
+    -------
+    ndarray of float32, shape (N, C, height, width)
+
+    Examples
+    --------
+    >>> input_planes(np.full((1, 2, 2, 3), 51, np.uint8))[0, :, 0, 0].tolist()
+    [0.20000000298023224, 0.20000000298023224, 0.20000000298023224]
+    """
+    import cv2
+
+    count, rows, columns, channels = pixels.shape
+    planes = np.zeros((count, channels, *(size_px or (rows, columns))), np.float32)
+    means, scales = (
+        np.broadcast_to(np.asarray(values, np.float32), (channels,)) for values in (mean, scale)
+    )
+    for picture, out in zip(pixels, planes, strict=True):
+        for channel, levels in enumerate(cv2.split(picture)):
+            inside = out[channel, :rows, :columns]
+            # Divided, not multiplied by 1/255: the same float32 values as Ultralytics'.
+            np.subtract(levels, means[channel], out=inside, dtype=np.float32)
+            inside /= scales[channel]
+    return planes
 
 
 def runtime_for_batches(runtime: str) -> str:

@@ -2,7 +2,8 @@
 
 The encoder runs once per picture, even if its fruit come in several calls with other pictures
 between; the decoder takes several prompts at once. Sources: SAM (Kirillov et al. 2023, "Segment
-Anything") and MobileSAM (Zhang et al. 2023, "Faster Segment Anything").
+Anything"; `ResizeLongestSide` and `postprocess_masks` of its code) and MobileSAM (Zhang et al.
+2023, "Faster Segment Anything").
 """
 
 from __future__ import annotations
@@ -10,7 +11,8 @@ from __future__ import annotations
 import hashlib
 from collections import OrderedDict
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -25,21 +27,15 @@ from cucumbervision.fruit.masks import (
     mask_window,
     share_inside,
 )
-from cucumbervision.networks.resize import (
-    mask_from_logits,
-    mask_to_sam,
-    points_to_sam,
-    prepare_picture,
-    rows_needed,
-)
-from cucumbervision.networks.runtime import open_network, runtime_for_batches
-from cucumbervision.threads import OneThread
+from cucumbervision.networks.runtime import input_planes, open_network, runtime_for_batches
+from cucumbervision.tube.compiled import OneThread
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
+    from scipy.sparse import csr_array
 
     _Answer = tuple[NDArray[np.float32], NDArray[np.float32]]
 
@@ -63,6 +59,14 @@ _LEAST_PART = 0.1
 _HELD = 4  # pictures whose embeddings are held, 4 MB each
 
 _TOGETHER = 4  # prompts per call of the decoder; more need more memory and save no time
+
+_SIDE = 1024
+"""Side of the square that SAM sees, in pixels."""
+
+_LOW = 256  # side of the masks that SAM's decoder gives
+_PATCH = 16
+_MEAN = (123.675, 116.28, 103.53)
+_STD = (58.395, 57.12, 57.375)
 
 _PADDING, _FOREGROUND, _CORNER_1, _CORNER_2 = -1, 1, 2, 3
 
@@ -151,17 +155,12 @@ class Sam:
     ) -> tuple[Instance, ...]:
         """Draw a mask for each, ignoring separate parts."""
         height, width = color_rgb.shape[:2]
-        boxes = [clip_box(instance.box, height, width) for instance in instances]
-        clipped = {i: box for i, box in enumerate(boxes) if box is not None}
-        answers = self._answers(
-            color_rgb, np.array(list(clipped.values())).reshape(-1, 4), self.prompt
-        )
-        by_index = dict(zip(clipped, answers, strict=True))
+        limit = np.array([width, height, width, height]) - 0.5
+        boxes = np.array([np.clip(instance.box, -0.5, limit) for instance in instances])
+        answers = self._answers(color_rgb, boxes, self.prompt)
         return tuple(
-            _with_mask(instance, by_index[i], clipped[i], height, width)
-            if i in by_index
-            else without_mask(instance, "mask-empty")
-            for i, instance in enumerate(instances)
+            _with_mask(instance, answer, box, height, width)
+            for instance, answer, box in zip(instances, answers, boxes, strict=True)
         )
 
     @OneThread()
@@ -217,50 +216,244 @@ class Sam:
         return embedding
 
 
-def _mask_fault(mask: NDArray[np.bool_], box: NDArray[np.float64]) -> str:
-    """Return why a mask cannot be the fruit in a box; empty if it can.
+def scaled_size(height: int, width: int) -> tuple[int, int]:
+    """Return the height and width of a picture whose longer side is scaled to 1024.
+
+    Examples
+    --------
+    >>> scaled_size(720, 1280), scaled_size(640, 480)
+    ((576, 1024), (1024, 768))
+    """
+    scale = _SIDE / max(height, width)
+    return max(1, int(height * scale + 0.5)), max(1, int(width * scale + 0.5))
+
+
+def rows_needed(height: int, width: int) -> int:
+    """Return how many of the square's 1024 rows a picture covers, rounded up to patches of 16.
+
+    The rest is padding, which an encoder with free height can omit.
+
+    Examples
+    --------
+    >>> rows_needed(720, 1280), rows_needed(480, 848), rows_needed(640, 480)
+    (576, 592, 1024)
+    """
+    return -(-scaled_size(height, width)[0] // _PATCH) * _PATCH
+
+
+def prepare_picture(color_rgb: NDArray[np.uint8], rows: int = _SIDE) -> NDArray[np.float32]:
+    """Scale, normalise and pad an image as SAM's encoder expects it.
+
+    Parameters
+    ----------
+    color_rgb : ndarray of uint8, shape (H, W, 3)
+        Red, green, blue.
+    rows : int
+        Rows of the square that the encoder takes: at least `rows_needed`.
+
+    Returns
+    -------
+    ndarray of float32, shape (1, 3, rows, 1024)
+        Less the mean colour, divided by its spread; zero to the right and below.
+
+    Examples
+    --------
+    >>> picture = prepare_picture(np.full((9, 16, 3), 255, np.uint8))
+    >>> picture.shape, round(float(picture[0, 0, 575, 0]), 3), float(picture[0, 0, 576, 0])
+    ((1, 3, 1024, 1024), 2.249, 0.0)
+    """
+    planes = _scaled_planes(color_rgb, *scaled_size(*color_rgb.shape[:2]))
+    pixels = np.stack([np.asarray(plane, np.uint8) for plane in planes], axis=-1)[None]
+    return input_planes(pixels, _MEAN, _STD, (rows, _SIDE))
+
+
+def _scaled_planes(
+    color_rgb: NDArray[np.uint8], height: int, width: int
+) -> list[NDArray[np.float32]]:
+    """Return the colours' planes (height, width), in whole levels.
+
+    Resized as Pillow does, which SAM was trained with: bilinear, and smoothing when it shrinks.
+    """
+    import cv2
+
+    before_height, before_width = color_rgb.shape[:2]
+    picture = np.ascontiguousarray(color_rgb)
+    if max(before_height, before_width) <= _SIDE:
+        enlarged = cv2.resize(picture, (width, height), interpolation=cv2.INTER_LINEAR)
+        return [np.asarray(plane, np.float32) for plane in cv2.split(enlarged)]
+    # As Pillow: along the rows first, whole levels in between.
+    across, down = _shrinking(before_width, width), _shrinking(before_height, height)
+    columns = [np.asarray(cv2.transpose(plane), np.float32) for plane in cv2.split(picture)]
+    narrow = [cv2.transpose(np.rint(across @ plane)) for plane in columns]
+    return [np.rint(down @ plane) for plane in narrow]
+
+
+@lru_cache(maxsize=8)
+def _shrinking(size_in: int, size_out: int) -> csr_array[Any, tuple[int, int]]:
+    """Return the weights (size_out, size_in): each row a triangle as wide as two output pixels."""
+    from scipy.sparse import csr_array
+
+    scale = size_in / size_out
+    centre = (np.arange(size_out) + 0.5) * scale
+    starts = np.maximum((centre - scale + 0.5).astype(int), 0)
+    ends = np.minimum((centre + scale + 0.5).astype(int), size_in)
+    columns = starts[:, None] + np.arange(int((ends - starts).max()))
+    weights = np.maximum(1 - np.abs(columns + 0.5 - centre[:, None]) / scale, 0)
+    weights[columns >= ends[:, None]] = 0
+    weights /= weights.sum(axis=1, keepdims=True)
+    rows = np.broadcast_to(np.arange(size_out)[:, None], columns.shape)
+    is_used = weights > 0
+    return csr_array(
+        (weights[is_used].astype(np.float32), (rows[is_used], columns[is_used])),
+        (size_out, size_in),
+    )
+
+
+def points_to_sam(points_px: NDArray[np.float64], height: int, width: int) -> NDArray[np.float32]:
+    """Map points of the picture to the decoder's pixels.
+
+    The picture's edges run from -0.5 to W - 0.5 and are scaled onto 0 to the scaled width; the
+    decoder counts pixel centres too and adds half a pixel itself.
+
+    Parameters
+    ----------
+    points_px : ndarray of float64, shape (..., 2)
+        u, v with (0, 0) the centre of the upper left pixel.
+    height, width : int
+        The picture's size.
+
+    Returns
+    -------
+    ndarray of float32, shape (..., 2)
+        Pixels of the 1024 square, (0, 0) the centre of its upper left one.
+
+    Examples
+    --------
+    >>> points_to_sam(np.array([[-0.5, -0.5], [639.5, 359.5], [1279.5, 719.5]]), 720, 1280).tolist()
+    [[-0.5, -0.5], [511.5, 287.5], [1023.5, 575.5]]
+    """
+    scaled_height, scaled_width = scaled_size(height, width)
+    scale = np.array([scaled_width / width, scaled_height / height])
+    scaled: NDArray[np.float32] = ((points_px + 0.5) * scale - 0.5).astype(np.float32)
+    return scaled
+
+
+def mask_from_logits(logits: NDArray[np.float32], height: int, width: int) -> NDArray[np.bool_]:
+    """Enlarge one low-resolution mask to the picture and threshold it at zero.
+
+    In SAM's own two bilinear steps: to 1024, and without the padding to the picture's size.
+
+    Parameters
+    ----------
+    logits : ndarray of float32, shape (256, 256) or fewer rows
+        One mask of the decoder; missing rows are padding.
+    height, width : int
+        The picture's size.
+
+    Returns
+    -------
+    ndarray of bool, shape (height, width)
+
+    Examples
+    --------
+    >>> logits = np.full((256, 256), -1, np.float32)
+    >>> logits[:, :64] = 1
+    >>> mask_from_logits(logits, 1024, 1024).sum(axis=1).tolist()[:2]
+    [256, 256]
+    """
+    import cv2
+
+    # The picture's lowest rows interpolate with the first padding row.
+    square = np.pad(logits, ((0, _LOW - len(logits)), (0, 0)), mode="edge")
+    rows, columns = scaled_size(height, width)
+    fine = cv2.resize(square, (_SIDE, _SIDE), interpolation=cv2.INTER_LINEAR)[:rows, :columns]
+    enlarged = cv2.resize(fine, (width, height), interpolation=cv2.INTER_LINEAR)
+    return np.asarray(enlarged > 0)
+
+
+def mask_to_sam(mask: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Shrink a mask of the picture to the decoder's pixels.
 
     Parameters
     ----------
     mask : ndarray of bool, shape (H, W)
-    box : ndarray of float64, shape (4,)
+        In the picture.
+    shape : tuple of int
+        Rows and columns of the decoder's masks: 256, or fewer rows.
+
+    Returns
+    -------
+    ndarray of bool, shape `shape`
+        Pixels of which more than half is in the mask.
+
+    Examples
+    --------
+    >>> mask = np.zeros((720, 1280), bool)
+    >>> mask[:360, :640] = True
+    >>> small = mask_to_sam(mask, (256, 256))
+    >>> small.sum(), small[71, 127], small[72, 127]
+    (np.int64(9216), np.True_, np.False_)
+    """
+    import cv2
+
+    scaled_height, scaled_width = scaled_size(*mask.shape)
+    rows, columns = (max(round(n * _LOW / _SIDE), 1) for n in (scaled_height, scaled_width))
+    part = cv2.resize(mask.astype(np.float32), (columns, rows), interpolation=cv2.INTER_AREA)
+    small = np.zeros(shape, bool)
+    small[:rows, :columns] = part[: shape[0], : shape[1]] > 0.5
+    return small
+
+
+def _fault(
+    mask: NDArray[np.bool_],
+    detector_mask: NDArray[np.bool_] | None,
+    box: NDArray[np.float64] | None = None,
+) -> str:
+    """Return why a mask cannot be a fruit; empty if it can.
+
+    Parameters
+    ----------
+    mask : ndarray of bool, shape (H, W)
+    detector_mask : ndarray of bool, shape (H, W), optional
+        The detector's mask of the fruit.
+    box : ndarray of float64, shape (4,), optional
         x1, y1, x2, y2 of the detection.
 
     Returns
     -------
     str
         'mask-empty', 'mask-small' (under 100 px), 'mask-off-box' (the mask's box has an IoU
-        under 0.5 with the detection's) or ''.
+        under 0.5 with the detection's), 'mask-off-detector' or ''.
 
     Examples
     --------
     >>> mask = np.zeros((40, 40), bool)
     >>> box = np.array([9.5, 9.5, 29.5, 29.5])
-    >>> _mask_fault(mask, box)
-    'mask-empty'
-    >>> mask[10:12, 10:30] = True
-    >>> _mask_fault(mask, box)
-    'mask-small'
-    >>> mask[10:16, 10:30] = True
-    >>> _mask_fault(mask, box)
-    'mask-off-box'
-    >>> mask[10:24, 10:30] = True
-    >>> _mask_fault(mask, box)
-    ''
+    >>> def fault_of(rows):
+    ...     mask[10 : 10 + rows, 10:30] = True
+    ...     return _fault(mask, None, box)
+    >>> [fault_of(rows) for rows in (0, 2, 6, 14)]
+    ['mask-empty', 'mask-small', 'mask-off-box', '']
     """
     area = np.count_nonzero(mask)
-    if not area:
-        return "mask-empty"
     if area < _MIN_MASK_PX:
-        return "mask-small"
-    return "" if box_iou(box_of_mask(mask), box) >= _MIN_BOX_IOU else "mask-off-box"
-
-
-def clip_box(box: NDArray[np.float64], height: int, width: int) -> NDArray[np.float64] | None:
-    """Clip a box to the picture; None if it is outside."""
-    limit = np.array([width, height, width, height]) - 0.5
-    cut = np.clip(np.asarray(box, np.float64), -0.5, limit)
-    return cut if cut[2] > cut[0] and cut[3] > cut[1] else None
+        return "mask-small" if area else "mask-empty"
+    own_box, along = box_of_mask(mask), False
+    if detector_mask is not None and detector_mask.any():
+        # It may run along all of the detector's mask, inside it.
+        inside = np.count_nonzero(mask & detector_mask) >= _MIN_INSIDE * area
+        spans = [
+            np.ptp(b.reshape(2, 2), axis=0).max() for b in (own_box, box_of_mask(detector_mask))
+        ]
+        along = bool(inside and spans[0] >= _MIN_SPAN * spans[1])
+        agrees = along or mask_iou(detector_mask, mask) >= _MIN_AGREEMENT
+    else:
+        agrees = True
+    if box is not None and box_iou(own_box, box) < _MIN_BOX_IOU:
+        in_box = share_inside(own_box[None], box[None])[0] >= _MIN_INSIDE
+        if not (along and in_box):
+            return "mask-off-box"
+    return "" if agrees else "mask-off-detector"
 
 
 def _prompts(
@@ -293,15 +486,7 @@ def _with_mask(
     if detector_mask is not None and detector_mask.any():
         agreement = mask_ious(logits > 0, mask_to_sam(detector_mask, logits.shape[1:]))
     mask = mask_from_logits(logits[int((sure + agreement).argmax())], height, width)
-    fault = _mask_fault(mask, box)
-    if fault == "mask-off-box" and detector_mask is not None and detector_mask.any():
-        in_box = share_inside(box_of_mask(mask)[None], box[None])[0] >= _MIN_INSIDE
-        fault = "" if in_box and _runs_along_inside(mask, detector_mask) else fault
-    if not fault and not _agrees(mask, detector_mask):
-        fault = "mask-off-detector"
-    if fault:
-        return without_mask(instance, fault)
-    return replace(instance, mask=mask, mask_source=MaskSource.SAM, mask_failure="")
+    return _with(instance, mask, _fault(mask, detector_mask, box))
 
 
 def _parts(instance: Instance) -> tuple[Instance, ...]:
@@ -328,11 +513,8 @@ def _parts(instance: Instance) -> tuple[Instance, ...]:
 def _union(instance: Instance, drawn: Sequence[Instance]) -> Instance:
     """Return an instance with the union of its parts' masks; rejected if one of them is."""
     masks = [part.mask for part in drawn if part.mask is not None]
-    if len(masks) < len(drawn):
-        fault = next(part.mask_failure for part in drawn if part.mask is None)
-        return without_mask(instance, fault)
-    mask = masks[0] if len(masks) == 1 else np.logical_or.reduce(masks)
-    return replace(instance, mask=mask, mask_source=MaskSource.SAM, mask_failure="")
+    fault = next((part.mask_failure for part in drawn if part.mask is None), "")
+    return _with(instance, np.logical_or.reduce(masks), fault)
 
 
 def _disjoint(instances: Sequence[Instance]) -> tuple[Instance, ...]:
@@ -341,33 +523,14 @@ def _disjoint(instances: Sequence[Instance]) -> tuple[Instance, ...]:
     disjoint = disjoint_masks(masks, [instance.confidence for instance in instances])
     out = []
     for instance, before, after in zip(instances, masks, disjoint, strict=True):
-        if after is None or after is before:
-            out.append(instance)
-        elif np.count_nonzero(after) < _MIN_MASK_PX:
-            out.append(without_mask(instance, "mask-small"))
-        elif not _agrees(after, instance.detector_mask):
-            out.append(without_mask(instance, "mask-off-detector"))
-        else:
-            out.append(replace(instance, mask=after))
+        if after is not None and after is not before:
+            instance = _with(instance, after, _fault(after, instance.detector_mask))
+        out.append(instance)
     return tuple(out)
 
 
-def _agrees(mask: NDArray[np.bool_], detector_mask: NDArray[np.bool_] | None) -> bool:
-    if detector_mask is None or not detector_mask.any():
-        return True
-    return mask_iou(detector_mask, mask) >= _MIN_AGREEMENT or _runs_along_inside(
-        mask, detector_mask
-    )
-
-
-def _runs_along_inside(mask: NDArray[np.bool_], detector_mask: NDArray[np.bool_]) -> bool:
-    """Return whether a mask runs along all of the detector's, inside it."""
-    inside = np.count_nonzero(mask & detector_mask) >= _MIN_INSIDE * np.count_nonzero(mask)
-    box, detector_box = box_of_mask(mask), box_of_mask(detector_mask)
-    spans = [max(edges[2] - edges[0], edges[3] - edges[1]) for edges in (box, detector_box)]
-    return bool(inside and spans[0] >= _MIN_SPAN * spans[1])
-
-
-def without_mask(instance: Instance, fault: str) -> Instance:
-    """Return an instance without a mask, and why."""
-    return replace(instance, mask=None, mask_source=None, mask_failure=fault)
+def _with(instance: Instance, mask: NDArray[np.bool_], fault: str) -> Instance:
+    """Return an instance with a mask that SAM drew, or with the fault of it."""
+    if fault:
+        return replace(instance, mask=None, mask_source=None, mask_failure=fault)
+    return replace(instance, mask=mask, mask_source=MaskSource.SAM, mask_failure="")

@@ -1,4 +1,9 @@
-"""YOLO detection with any Ultralytics ONNX export for detect, segment or pose."""
+"""YOLO detection with any Ultralytics ONNX export for detect, segment or pose.
+
+Ultralytics measures from the image's corner (pixel i covers i to i + 1), cameras and `Instance`
+from the first pixel's centre (pixel i covers i - 0.5 to i + 0.5); the way back subtracts 0.5.
+Sources: `LetterBox`, `scale_boxes`, `scale_coords` and `process_mask_native` of Ultralytics 8.4.
+"""
 
 from __future__ import annotations
 
@@ -7,30 +12,25 @@ import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from functools import lru_cache
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BeforeValidator, Field, PositiveInt
 
-from cucumbervision.errors import ModelError, as_errors_of
+from cucumbervision.errors import CucumberVisionError, ModelError, as_errors_of
 from cucumbervision.files import parse_model
 from cucumbervision.fruit.instance import TRUSTED_SHARE, UNKNOWN_ORDER, Instance
 from cucumbervision.fruit.masks import box_ious, suppress
-from cucumbervision.networks.confidence import (
-    DEFAULT_CONFIDENCE,
-    LARGEST_INPUT_PX,
-    detector_floor,
-    parse_input_sizes,
-)
-from cucumbervision.networks.resize import fit
-from cucumbervision.networks.runtime import Network, TensorInfo, open_network
-from cucumbervision.threads import OneThread
+from cucumbervision.networks import DEFAULT_CONFIDENCE, LARGEST_INPUT_PX
+from cucumbervision.networks.runtime import Network, TensorInfo, input_planes, open_network
+from cucumbervision.tube.compiled import OneThread
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
 
 ONE_TO_ONE_KEY = "one2one"
@@ -46,6 +46,10 @@ BY_PLACE = "place"
 """Its value if points run from a fruit's lower left to its upper right end."""
 
 _KEYPOINTS = 5
+_POSE_CONFIDENCE = 0.05
+_FLOOR_SHARE = 1 / 3
+_SIZE_STEP_PX = 32
+_GREY = 114
 _REMEDY = "name an ONNX export of a YOLO detect, segment or pose network"
 _log = logging.getLogger("cucumbervision")
 
@@ -73,6 +77,285 @@ class _Metadata:
     end2end: bool = False
     args: dict[str, Any] = field(default_factory=dict)
     task: Literal["", "detect", "segment", "pose"] = ""
+
+
+def detector_floor(confidence: float, *, votes: bool) -> float:
+    """Return the detector's threshold for candidates.
+
+    Parameters
+    ----------
+    confidence : float
+        Threshold for a fruit.
+    votes : bool
+        Whether other input sizes or a pose network vote, which may lift a candidate over the
+        threshold.
+
+    Examples
+    --------
+    >>> detector_floor(0.3, votes=False)
+    0.3
+    >>> round(detector_floor(0.3, votes=True), 3)
+    0.1
+    """
+    return confidence * (_FLOOR_SHARE if votes else 1)
+
+
+def pose_floor(confidence: float) -> float:
+    """Return the pose network's threshold for keypoints of a fruit that the detector found.
+
+    Parameters
+    ----------
+    confidence : float
+        Threshold for a fruit.
+
+    Examples
+    --------
+    >>> pose_floor(0.3)
+    0.05
+    >>> pose_floor(0.01)
+    0.01
+    """
+    return min(confidence, _POSE_CONFIDENCE)
+
+
+def parse_input_sizes(text: str) -> tuple[int, ...]:
+    """Parse the option `--input-size`: one size in pixels, or several to merge.
+
+    Parameters
+    ----------
+    text : str
+        Multiples of 32 up to 4096, joined by commas; empty for the network's own size.
+
+    Returns
+    -------
+    tuple of int
+        Each size once, the smallest first.
+
+    Raises
+    ------
+    CucumberVisionError
+        For anything else.
+
+    Examples
+    --------
+    >>> parse_input_sizes("1280,640"), parse_input_sizes("")
+    ((640, 1280), ())
+    """
+    parts = [part.strip() for part in text.split(",")] if text.strip() else []
+    sizes = {int(part) if part.isdecimal() and len(part) < 6 else 0 for part in parts}
+    if not all(0 < size <= LARGEST_INPUT_PX and size % _SIZE_STEP_PX == 0 for size in sizes):
+        raise CucumberVisionError(
+            f"{text!r} is not an input size",
+            source="--input-size",
+            remedy=f"give a multiple of {_SIZE_STEP_PX} up to {LARGEST_INPUT_PX}, such as 640, "
+            "or several joined by commas",
+        )
+    return tuple(sorted(sizes))
+
+
+@dataclass(frozen=True)
+class Letterbox:
+    """Position of a picture in a network's input; made by `fit`.
+
+    Parameters
+    ----------
+    height, width : int
+        The picture's size in pixels.
+    input_height, input_width : int
+        The network input's size.
+    inner_height, inner_width : int
+        The resized picture's size inside it.
+    top_px, left_px : int
+        Grey rows above and columns to the left.
+
+    Examples
+    --------
+    >>> box = fit(720, 1280, (640, 640))
+    >>> (box.inner_height, box.inner_width, box.top_px, box.left_px)
+    (360, 640, 140, 0)
+    >>> box.boxes_back(np.array([[0.0, 140, 320, 320]])).tolist()
+    [[-0.5, -0.5, 639.5, 359.5]]
+    """
+
+    height: int
+    width: int
+    input_height: int
+    input_width: int
+    inner_height: int
+    inner_width: int
+    top_px: int
+    left_px: int
+
+    def apply(self, color_rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Resize linearly and pad with grey.
+
+        Parameters
+        ----------
+        color_rgb : ndarray of uint8, shape (height, width, 3)
+            The picture.
+
+        Returns
+        -------
+        ndarray of uint8, shape (input_height, input_width, 3)
+        """
+        import cv2
+
+        size = self.inner_width, self.inner_height
+        inner = cv2.resize(color_rgb, size, interpolation=cv2.INTER_LINEAR)
+        out = np.full((self.input_height, self.input_width, 3), _GREY, np.uint8)
+        rows, columns = self.inner_height, self.inner_width
+        out[self.top_px : self.top_px + rows, self.left_px : self.left_px + columns] = inner
+        return out
+
+    def as_input(self, color_rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Return the input (1, 3, input_height, input_width) of 0 to 1, red first."""
+        return input_planes(self.apply(color_rgb)[None])
+
+    def boxes_back(self, boxes: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Map boxes from the network's input to the picture, and clip them.
+
+        Parameters
+        ----------
+        boxes : ndarray, shape (N, 4)
+            x1, y1, x2, y2 in the input's pixels, from its corner.
+
+        Returns
+        -------
+        ndarray of float64, shape (N, 4)
+            The same in the picture's pixels, from its first pixel's centre.
+        """
+        return self.points_back(np.reshape(boxes, (-1, 2, 2))).reshape(-1, 4)
+
+    def points_back(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Map points from the network's input to the picture, and clip them.
+
+        Parameters
+        ----------
+        points : ndarray, shape (..., 2)
+            u, v in the input's pixels, from its corner.
+
+        Returns
+        -------
+        ndarray of float64, shape (..., 2)
+            The same in the picture's pixels, from its first pixel's centre.
+        """
+        # Each side has its own gain, since each was rounded to whole pixels.
+        gain = self.inner_width / self.width, self.inner_height / self.height
+        original = (np.asarray(points, np.float64) - (self.left_px, self.top_px)) / gain
+        return np.clip(original, 0.0, (self.width, self.height)) - 0.5
+
+    def mask_back(
+        self,
+        prototypes: NDArray[np.float32],
+        coefficients: NDArray[np.float32],
+        box: NDArray[np.floating],
+    ) -> NDArray[np.bool_]:
+        """Map one mask from the prototypes' grid to the picture, and crop it to its box.
+
+        The prototypes' weighted sum is interpolated linearly and cut at zero at the picture's own
+        resolution (`process_mask_native`, Ultralytics' `retina_masks`); only the part that the
+        box needs is computed.
+
+        Parameters
+        ----------
+        prototypes : ndarray of float32, shape (C, h, w)
+            On a grid of a quarter of the input.
+        coefficients : ndarray of float32, shape (C,)
+            The detection's weight of each.
+        box : ndarray, shape (4,)
+            x1, y1, x2, y2 in the picture's pixels, from its first pixel's centre.
+
+        Returns
+        -------
+        ndarray of bool, shape (height, width)
+        """
+        mask = np.zeros((self.height, self.width), np.bool_)
+        # Pixel i is inside where x1 <= i < x2, counted from the corner.
+        x1, y1, x2, y2 = np.ceil(np.asarray(box, np.float64) + 0.5).astype(int)
+        down, across = _mask_weights(self, *prototypes.shape[1:])
+        down, across = down[y1:y2], across[x1:x2]
+        rows, columns = _span(down.any(axis=0)), _span(across.any(axis=0))
+        logits = np.tensordot(coefficients, prototypes[:, rows, columns], axes=1)
+        mask[y1:y2, x1:x2] = down[:, rows] @ logits @ across[:, columns].T > 0
+        return mask
+
+
+def fit(
+    height: int, width: int, size: tuple[int, int], *, minimal: bool = False, stride: int = 32
+) -> Letterbox:
+    """Compute the position of a picture in a network's input.
+
+    Parameters
+    ----------
+    height, width : int
+        The picture's size in pixels.
+    size : tuple of int
+        Height and width of the network's input.
+    minimal : bool
+        Pad only to the next multiple of `stride`, as Ultralytics does for networks with free size
+        (`rect`).
+    stride : int
+        The network's largest stride in pixels.
+
+    Returns
+    -------
+    Letterbox
+
+    Examples
+    --------
+    >>> box = fit(720, 1280, (640, 640), minimal=True)
+    >>> (box.input_height, box.input_width, box.top_px)
+    (384, 640, 12)
+    """
+    gain = min(size[0] / height, size[1] / width)
+    inner_height, inner_width = max(round(height * gain), 1), max(round(width * gain), 1)
+    spare_rows, spare_columns = size[0] - inner_height, size[1] - inner_width
+    if minimal:
+        spare_rows, spare_columns = spare_rows % stride, spare_columns % stride
+    return Letterbox(
+        height=height,
+        width=width,
+        input_height=inner_height + spare_rows,
+        input_width=inner_width + spare_columns,
+        inner_height=inner_height,
+        inner_width=inner_width,
+        # The smaller half goes above and left: round(x.5 - 0.1) is x.
+        top_px=spare_rows // 2,
+        left_px=spare_columns // 2,
+    )
+
+
+@lru_cache(maxsize=8)
+def _mask_weights(
+    box: Letterbox, rows: int, columns: int
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return the matrices that interpolate the prototypes' rows and columns to the picture's."""
+    return (
+        _linear_weights(rows, box.input_height, box.top_px, box.inner_height, box.height),
+        _linear_weights(columns, box.input_width, box.left_px, box.inner_width, box.width),
+    )
+
+
+def _linear_weights(
+    cells: int, input_px: int, start_px: int, inner_px: int, size: int
+) -> NDArray[np.float32]:
+    """Return what each of `cells` along a side adds to each of `size` pixels, (size, cells).
+
+    The picture's side lies at `start_px`, `inner_px` long, in an input of `input_px`. Cells in the
+    padding add nothing.
+    """
+    cell = (start_px + (np.arange(size) + 0.5) * inner_px / size) * cells / input_px - 0.5
+    first = np.ceil(start_px * cells / input_px)
+    last = np.floor((start_px + inner_px) * cells / input_px) - 1
+    cell = np.clip(cell, first, max(first, last))
+    weights = np.maximum(1 - np.abs(cell[:, None] - np.arange(cells)), 0)
+    return np.asarray(weights, np.float32)
+
+
+def _span(flags: ArrayLike) -> slice:
+    """Return the slice from the first to the last set flag; slice(0, 0) if there is none."""
+    indices = np.flatnonzero(flags)
+    return slice(int(indices[0]), int(indices[-1]) + 1) if len(indices) else slice(0, 0)
 
 
 class YoloDetector:

@@ -21,8 +21,7 @@ from cucumbervision.errors import CaptureError, wrap_os_errors
 from cucumbervision.files import write_bytes, write_csv, write_json
 from cucumbervision.fruit.instance import KEYPOINT_NAMES, SKELETON
 from cucumbervision.fruit.mask_codes import encode_rle
-from cucumbervision.run.batch import Item, Outcome, Worker, in_turn, measure_all
-from cucumbervision.run.inputs import Listed
+from cucumbervision.run.batch import Item, Listed, Outcome, Worker, in_turn, measure_all
 from cucumbervision.run.measurer import Boundary, Failure, Measurer, exit_code
 from cucumbervision.run.options import MeasureOptions
 from cucumbervision.run.overlay import draw_detections
@@ -119,25 +118,22 @@ def _files_below(folder: Path) -> list[Path]:
 
 @dataclass(frozen=True, eq=False)
 class DetectedPicture:
-    """Detections in one picture: its size in pixels, COCO results, and the names of the classes.
-
-    An entry contains the name of the class instead of a category number of COCO.
-    """
+    """An image and its fruit: fields of COCO's results, with a class name for its number."""
 
     name: str
     width: int
     height: int
-    entries: list[dict[str, Any]]
-    classes: tuple[str, ...] = ()
+    fruit: list[dict[str, Any]]
 
 
 class PictureWorker(Worker[DetectedPicture]):
-    """Finds the fruit of plain pictures, and draws them into a folder if one is given."""
+    """Finds the fruit of plain images, and draws them into a folder if one is given."""
 
     def __init__(self, measurer: Measurer, out: Path | None = None) -> None:
         super().__init__(measurer)
         self._out = out
         self._taken: set[str] = set()
+        self.labels: dict[str, None] = {}
 
     def measure(self, capture: Capture) -> Outcome[DetectedPicture]:
         """Return the detections; nothing is measured."""
@@ -147,18 +143,18 @@ class PictureWorker(Worker[DetectedPicture]):
             _, detections = self.measurer.detect(capture)
         if failures:
             return Outcome(failures=tuple(failures))
-        instances = detections.instances
-        entries = [
+        fruit = [
             coco_fields(instance, keypoints=detections.posed) | {"class": instance.class_name}
-            for instance in instances
+            for instance in detections.instances
         ]
+        found = sorted({instance["class"] for instance in fruit})
+        self.labels |= dict.fromkeys((*detections.labels, *found))
         if self._out is not None:
             with Boundary(failures, capture.source, capture.name):
                 stem = unique_name(safe_name(str(Path(capture.name).with_suffix(""))), self._taken)
-                drawn = draw_detections(capture.color, instances)
+                drawn = draw_detections(capture.color, detections.instances)
                 write_jpeg(self._out / f"{stem}.jpg", drawn, _JPEG_QUALITY)
-        size = capture.width, capture.height
-        picture = DetectedPicture(capture.name, *size, entries, detections.labels)
+        picture = DetectedPicture(capture.name, capture.width, capture.height, fruit)
         return Outcome(picture, tuple(failures))
 
 
@@ -249,23 +245,20 @@ def detect_inputs(
             if report is not None:
                 report(done, len(items))
     finally:
-        _write(result, options, started)
+        _write(result, list(worker.labels), options, started)
     return result
 
 
-def _write(result: DetectResult, options: MeasureOptions, started: datetime) -> None:
-    named = [picture.classes for picture in result.pictures]
-    class_names = [{entry["class"] for entry in picture.entries} for picture in result.pictures]
-    labels = list(
-        dict.fromkeys(name for names in (*named, *map(sorted, class_names)) for name in names)
-    )
+def _write(
+    result: DetectResult, labels: list[str], options: MeasureOptions, started: datetime
+) -> None:
     images, lines = [], []
     for number, picture in enumerate(result.pictures, start=1):
         size = {"width": picture.width, "height": picture.height}
         images.append({"id": number, "file_name": picture.name, **size})
-        for entry in picture.entries:
-            fields = {key: value for key, value in entry.items() if key != "class"}
-            category = labels.index(entry["class"]) + 1
+        for fruit in picture.fruit:
+            fields = {key: value for key, value in fruit.items() if key != "class"}
+            category = labels.index(fruit["class"]) + 1
             head = {"image_id": number, "file_name": picture.name, "category_id": category}
             lines.append(json.dumps(head | fields, ensure_ascii=False))
     info = {
@@ -275,34 +268,18 @@ def _write(result: DetectResult, options: MeasureOptions, started: datetime) -> 
         "options": options.as_json(),
         "models": result.models,
     }
-    pictures = {
-        "info": info,
-        "licenses": [],
-        "images": images,
-        "annotations": [],
-        "categories": _coco_categories(labels),
-    }
+    skeleton = [[a + 1, b + 1] for a, b in SKELETON]
+    categories = [
+        {"id": k, "name": label, "keypoints": list(KEYPOINT_NAMES), "skeleton": skeleton}
+        for k, label in enumerate(labels, start=1)
+    ]
+    coco = {"info": info, "licenses": [], "images": images, "annotations": []}
     with wrap_os_errors("cannot be written", result.out):
-        write_json(result.out / "images.json", pictures)
+        write_json(result.out / "images.json", {**coco, "categories": categories})
         write_csv(result.out / "failures.csv", FAILURE_COLUMNS, map(vars, result.failures))
     # One entry a line.
     text = ",\n".join(lines)
     write_bytes(result.out / "results.json", (f"[\n{text}\n]\n" if lines else "[]\n").encode())
-
-
-def _coco_categories(labels: Sequence[str]) -> list[dict[str, Any]]:
-    """Return the classes, numbered from 1, with the five keypoints' names.
-
-    Examples
-    --------
-    >>> [(c["id"], c["name"]) for c in _coco_categories(["cucumber"])]
-    [(1, 'cucumber')]
-    """
-    skeleton = [[a + 1, b + 1] for a, b in SKELETON]
-    return [
-        {"id": k, "name": label, "keypoints": list(KEYPOINT_NAMES), "skeleton": skeleton}
-        for k, label in enumerate(labels, start=1)
-    ]
 
 
 def coco_fields(instance: Instance, *, keypoints: bool) -> dict[str, Any]:

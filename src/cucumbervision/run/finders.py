@@ -22,10 +22,11 @@ from cucumbervision.fruit.instance import (
 from cucumbervision.fruit.masks import box_of_mask, is_box_mask, without_flower
 from cucumbervision.methods.m6 import fits_well, measure_m6
 from cucumbervision.methods.result import Selector
+from cucumbervision.networks.find import NetworkLoader, PictureLooks
 from cucumbervision.networks.keypoint_axis import place_keypoints
-from cucumbervision.networks.looks import PictureLooks
+from cucumbervision.networks.registry import Registry, load_registry
 from cucumbervision.plugins import Kind, Plugin, plugins
-from cucumbervision.run.options import MeasureOptions, PlugIns
+from cucumbervision.run.options import INSTANCE_SOURCES, MeasureOptions, PlugIns
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -34,8 +35,6 @@ if TYPE_CHECKING:
 
     from cucumbervision.capture.frames import Capture
     from cucumbervision.methods.result import Measurement
-    from cucumbervision.networks.find import NetworkLoader
-    from cucumbervision.networks.registry import Registry
     from cucumbervision.networks.yolo import YoloDetector
     from cucumbervision.plugins import Detector
 
@@ -99,23 +98,63 @@ def _class_of(instance: Instance) -> str:
 Find: TypeAlias = Callable[["Capture"], Detections]
 
 
-@dataclass(frozen=True)
+_FINDING = {"segment", "detect", "fruit", "pose"}  # tasks of networks; all others draw masks
+
+
 class Finder:
-    """A function that finds fruit, and the networks that it uses.
+    """Finds the fruit of captures as the options select; each network is loaded once.
+
+    SAM, and with 'auto' also the networks of the package, are loaded when the first capture needs
+    them.
 
     Parameters
     ----------
-    find : callable
-        Returns the fruit of a capture.
+    options : MeasureOptions
+        Options of the run.
+    registry : Registry, optional
+        Registry of named networks; by default that of the package.
+    plug_ins : PlugIns, optional
+        Detector and segmenter of the calling program, in place of those of the options.
+
+    Attributes
+    ----------
     networks : NetworkLoader
         Loads the networks, and lists those that are loaded.
-    plugins : tuple of Plugin
-        Detector and segmenter of other packages, if any.
+
+    Raises
+    ------
+    ModelError
+        If a network is missing or cannot be loaded.
+    InstancesError
+        If the file of instances cannot be read.
+    PluginError
+        If a detector or segmenter of another package cannot be loaded.
     """
 
-    find: Find
-    networks: NetworkLoader
-    plugins: tuple[Plugin, ...] = ()
+    def __init__(
+        self,
+        options: MeasureOptions,
+        registry: Registry | None = None,
+        plug_ins: PlugIns | None = None,
+    ) -> None:
+        plug_ins = plug_ins or PlugIns()
+        self._options = options
+        detector = _plugged("detectors", options.instances, plug_ins.detector)
+        self._painter = _plugged("segmenters", options.segmenter, plug_ins.segmenter)
+        self.networks = NetworkLoader(
+            registry or load_registry(),
+            runtime=options.runtime,
+            confidence=options.confidence,
+            prompt=options.prompt,
+            full_precision=options.full_precision,
+            input_sizes=options.input_sizes,
+        )
+        if self._painter is None and options.segmenter not in (None, "none"):
+            self.networks.verify(self.networks.registry.segmenter(options.segmenter).name)
+        self._boxes = self._box_finder() if detector is None else _finder_of(*detector)
+        parts = (plugin for plugin, _ in filter(None, (detector, self._painter)))
+        # Fruit that a program gives are of no plug-in.
+        self._plugins = tuple(plugin for plugin in parts if not plugin.is_own)
 
     def models_of(self, stages: Collection[str]) -> tuple[dict[str, Any], ...]:
         """Return the networks that took part in some stages, and the plug-ins in their place."""
@@ -129,91 +168,95 @@ class Finder:
             if network["task"] in tasks or (drawn and network["task"] not in _FINDING | {"look"})
         ]
         kinds = {"detectors", "segmenters"} if drawn else {"detectors"}
-        return (*networks, *(plugin.as_json() for plugin in self.plugins if plugin.kind in kinds))
+        return (*networks, *(plugin.as_json() for plugin in self._plugins if plugin.kind in kinds))
 
-
-_FINDING = {"segment", "detect", "fruit", "pose"}  # tasks of networks; all others draw masks
-
-
-def make_finder(
-    options: MeasureOptions, registry: Registry | None = None, plug_ins: PlugIns | None = None
-) -> Finder:
-    """Create the finder that the options select.
-
-    Parameters
-    ----------
-    options : MeasureOptions
-        Options of the run.
-    registry : Registry, optional
-        Registry of named networks; by default that of the package.
-    plug_ins : PlugIns, optional
-        Detector and segmenter of the calling program, in place of those of the options.
-
-    Returns
-    -------
-    Finder
-        Loads each network once. SAM, and with 'auto' also the networks of the package, are loaded
-        when the first capture needs them.
-
-    Raises
-    ------
-    ModelError
-        If a network is missing or cannot be loaded.
-    InstancesError
-        If the file of instances cannot be read.
-    PluginError
-        If a detector or segmenter of another package cannot be loaded.
-    """
-    from cucumbervision.networks.find import NetworkLoader
-    from cucumbervision.networks.registry import load_registry
-
-    plug_ins = plug_ins or PlugIns()
-    detector = _plugged("detectors", options.instances, plug_ins.detector)
-    painter = _plugged("segmenters", options.segmenter, plug_ins.segmenter)
-
-    networks = NetworkLoader(
-        registry or load_registry(),
-        runtime=options.runtime,
-        confidence=options.confidence,
-        prompt=options.prompt,
-        full_precision=options.full_precision,
-        input_sizes=options.input_sizes,
-    )
-    name = options.segmenter
-    if painter is None and name not in (None, "none"):
-        networks.verify(networks.registry.segmenter(name).name)
-    boxes = _box_finder(options, networks) if detector is None else _finder_of(*detector)
-    draws_all = painter is not None or options.segmenter is not None
-
-    def find(capture: Capture) -> Detections:
-        detections = boxes(capture).of_classes(options.classes)
+    def find(self, capture: Capture) -> Detections:
+        """Return the fruit of a capture, with the masks to measure."""
+        name, painter = self._options.segmenter, self._painter
+        detections = self._boxes(capture).of_classes(self._options.classes)
         if name != "none":
             detections = _without_box_masks(detections)
         # The paper's selector measures the masks of SAM.
-        if name is None and options.selector is Selector.BEST:
+        if name is None and self._options.selector is Selector.BEST:
             detections = _with_fitting_masks(capture, detections)
         # Existing masks are used unchanged unless the user chose a segmenter.
-        drawn = [k for k, i in enumerate(detections.instances) if draws_all or i.mask is None]
-        if (painter is None and name == "none") or not drawn:
-            return _finished(capture, detections, detections.instances, networks)
-        prompts = [replace(detections.instances[k], mask=None, mask_source=None) for k in drawn]
-        try:
-            if painter is None:
-                answers = tuple(networks.segmenter(name).segment(capture.color, prompts))
-            else:
-                answers = _segmented(*painter, capture, prompts)
-        except PluginError as error:
-            answers = tuple(prompts)
-            refused = (*detections.refused, error)
-            detections = replace(detections, unmasked=frozenset(drawn), refused=refused)
-        masked = dict(zip(drawn, answers, strict=True))
-        instances = tuple(masked.get(k, fruit) for k, fruit in enumerate(detections.instances))
-        detections = replace(detections, stages=detections.stages | {"drawn"})
-        return _finished(capture, detections, instances, networks)
+        draws_all = painter is not None or name is not None
+        instances = list(detections.instances)
+        drawn = [k for k, instance in enumerate(instances) if draws_all or instance.mask is None]
+        if drawn and (painter is not None or name != "none"):
+            prompts = [replace(instances[k], mask=None, mask_source=None) for k in drawn]
+            try:
+                if painter is None:
+                    answers = tuple(self.networks.segmenter(name).segment(capture.color, prompts))
+                else:
+                    answers = _segmented(*painter, capture, prompts)
+            except PluginError as error:
+                answers, refused = tuple(prompts), (*detections.refused, error)
+                detections = replace(detections, unmasked=frozenset(drawn), refused=refused)
+            for k, answer in zip(drawn, answers, strict=True):
+                instances[k] = answer
+            detections = replace(detections, stages=detections.stages | {"drawn"})
+        return _finished(capture, detections, tuple(instances), self.networks)
 
-    parts = (plugin for plugin, _ in filter(None, (detector, painter)))
-    # Fruit that a program gives are of no plug-in.
-    return Finder(find, networks, tuple(plugin for plugin in parts if not plugin.is_own))
+    def _box_finder(self) -> Find:
+        options, path = self._options, Path(self._options.instances)
+        choice = options.instances if options.instances in INSTANCE_SOURCES else "file"
+        if choice == "file" and not path.exists():
+            choices = ", ".join((*INSTANCE_SOURCES, *plugins("detectors")))
+            raise InstancesError("no such file", source=path, remedy=f"give {choices} or a file")
+        if choice == "models":
+            return self._network_finder(pose=options.pose)
+        if choice == "file" and path.suffix.lower() == ".onnx":
+            return self._network_finder(path, options.pose)
+        pose = None if options.pose is None else self.networks.pose(options.pose)
+        find_listed = _file_finder(path) if choice == "file" else _dataset
+        networks = cache(partial(self._network_finder, pose=pose))
+
+        def find(capture: Capture) -> Detections:
+            if choice == "auto" and not capture.masks:
+                return networks()(capture)
+            if choice == "dataset" and not capture.masks:
+                raise InstancesError(
+                    "the data set has no masks for this capture",
+                    source=capture.source or capture.name,
+                    remedy="put them into mask_visib/, or choose other --instances",
+                )
+            detections = find_listed(capture)
+            if pose is None or not detections.instances:
+                return detections
+            poses = pose.detect(capture.color)
+            instances = with_keypoints(detections.instances, poses, sure=options.confidence)
+            stages = detections.stages | {"posed"}
+            return replace(detections, instances=instances, stages=stages, posed=True)
+
+        return find
+
+    def _network_finder(
+        self, file: Path | None = None, pose: YoloDetector | Path | None = None
+    ) -> Find:
+        # The paper's M4 has the keypoints of a pose network.
+        looks, quick = self._options.selector is Selector.BEST, self._options.quick
+        detectors = self.networks.detectors(file, pose, quick=quick, looks=looks)
+        labels, posed = detectors.labels, detectors.gives_keypoints
+
+        def find_turned(capture: Capture, quarters: int) -> tuple[Instance, ...]:
+            color, depth_m, focal_px = _seen(capture)
+            color = np.ascontiguousarray(np.rot90(color, quarters))
+            depth_m = None if depth_m is None else np.ascontiguousarray(np.rot90(depth_m, quarters))
+            found = detectors.find(color, depth_m, focal_px)
+            return tuple(fruit.turned(-quarters, color.shape[:2]) for fruit in found)
+
+        def find(capture: Capture) -> Detections:
+            found = find_turned(capture, upright_quarters(capture.gravity))
+            # A camera mounted on its side: photos without depth are turned by those who took them.
+            unknown = capture.gravity is None and capture.depth_m.any() and not quick
+            if unknown and _best(found) < _CLEAR:
+                others = (find_turned(capture, quarters) for quarters in (1, 3))
+                clear = [other for other in others if _best(other) >= _CLEAR]
+                found = max([found, *clear], key=lambda fruit: sum(x.confidence for x in fruit))
+            return Detections(found, stages=frozenset({"detected"}), labels=labels, posed=posed)
+
+        return find
 
 
 def _plugged(kind: Kind, name: str | None, part: Any) -> tuple[Plugin, Any] | None:
@@ -356,62 +399,6 @@ def _finder_of(plugin: Plugin, detector: Detector) -> Find:
     return find
 
 
-def _box_finder(options: MeasureOptions, networks: NetworkLoader) -> Find:
-    choice, path = options.instances, Path(options.instances)
-    if choice == "models":
-        return _network_finder(options, networks, pose=options.pose)
-    if choice not in ("auto", "dataset") and not path.exists():
-        choices = ", ".join(("auto", "models", "dataset", *plugins("detectors")))
-        raise InstancesError("no such file", source=path, remedy=f"give {choices} or a file")
-    if choice not in ("auto", "dataset") and path.suffix.lower() == ".onnx":
-        return _network_finder(options, networks, path, options.pose)
-    pose = None if options.pose is None else networks.pose(options.pose)
-    if choice == "auto":
-        return _auto_finder(options, networks, pose)
-    find = _dataset_or_error if choice == "dataset" else _file_finder(path)
-    return _with_pose(find, pose, options.confidence)
-
-
-def _auto_finder(
-    options: MeasureOptions, networks: NetworkLoader, pose: YoloDetector | None
-) -> Find:
-    """Use the masks of a data set if a capture has some, otherwise the networks."""
-    find_in_dataset = _with_pose(_dataset, pose, options.confidence)
-    load = cache(partial(_network_finder, options, networks, pose=pose))
-    return lambda capture: (find_in_dataset if capture.masks else load())(capture)
-
-
-def _network_finder(
-    options: MeasureOptions,
-    networks: NetworkLoader,
-    file: Path | None = None,
-    pose: YoloDetector | Path | None = None,
-) -> Find:
-    # The paper's M4 has the keypoints of a pose network.
-    looks = options.selector is Selector.BEST
-    detectors = networks.detectors(file, pose, quick=options.quick, looks=looks)
-    labels, posed = detectors.labels, detectors.gives_keypoints
-
-    def find_turned(capture: Capture, quarters: int) -> tuple[Instance, ...]:
-        color, depth_m, focal_px = _seen(capture)
-        color = np.ascontiguousarray(np.rot90(color, quarters))
-        depth_m = None if depth_m is None else np.ascontiguousarray(np.rot90(depth_m, quarters))
-        found = detectors.find(color, depth_m, focal_px)
-        return tuple(fruit.turned(-quarters, color.shape[:2]) for fruit in found)
-
-    def find(capture: Capture) -> Detections:
-        found = find_turned(capture, upright_quarters(capture.gravity))
-        # A camera mounted on its side: photos without depth are turned by those who took them.
-        unknown = capture.gravity is None and capture.depth_m.any() and not options.quick
-        if unknown and _best(found) < _CLEAR:
-            others = (find_turned(capture, quarters) for quarters in (1, 3))
-            clear = [other for other in others if _best(other) >= _CLEAR]
-            found = max([found, *clear], key=lambda fruit: sum(x.confidence for x in fruit))
-        return Detections(found, stages=frozenset({"detected"}), labels=labels, posed=posed)
-
-    return find
-
-
 _CLEAR = 0.45
 """Confidence of a clear fruit, without which a picture whose up is unknown is turned."""
 
@@ -444,24 +431,6 @@ def _seen(capture: Capture) -> tuple[NDArray[np.uint8], NDArray[np.float32] | No
     return capture.color, capture.depth_m, capture.intrinsics.fx_px
 
 
-def _with_pose(find: Find, pose: YoloDetector | None, sure: float) -> Find:
-    """Return a finder whose fruit get a pose network's keypoints."""
-    if pose is None:
-        return find
-
-    def find_with_keypoints(capture: Capture) -> Detections:
-        detections = find(capture)
-        if not detections.instances:
-            return detections
-        poses = pose.detect(capture.color)
-        instances = with_keypoints(detections.instances, poses, sure=sure)
-        return replace(
-            detections, instances=instances, stages=detections.stages | {"posed"}, posed=True
-        )
-
-    return find_with_keypoints
-
-
 def _file_finder(path: Path) -> Find:
     from cucumbervision.fruit.label_files import read_instances
 
@@ -474,16 +443,6 @@ def _file_finder(path: Path) -> Find:
         return Detections(listed.instances, cut, listed.refused)
 
     return find
-
-
-def _dataset_or_error(capture: Capture) -> Detections:
-    if not capture.masks:
-        raise InstancesError(
-            "the data set has no masks for this capture",
-            source=capture.source or capture.name,
-            remedy="put them into mask_visib/, or choose other --instances",
-        )
-    return _dataset(capture)
 
 
 def _dataset(capture: Capture) -> Detections:

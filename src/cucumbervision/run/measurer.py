@@ -20,9 +20,9 @@ from cucumbervision.methods.selector import measure_fruit, with_end_looks
 from cucumbervision.methods.traits import with_traits
 from cucumbervision.networks.registry import load_registry
 from cucumbervision.run.fields import FIELDS, fruit_row
-from cucumbervision.run.finders import make_finder
+from cucumbervision.run.finders import Finder
 from cucumbervision.run.options import GRAVITY_BY_EDGE, MeasureOptions, PlugIns, RunPlugins
-from cucumbervision.threads import OneThread
+from cucumbervision.tube.compiled import OneThread
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from cucumbervision.methods.result import Measurement
     from cucumbervision.networks.registry import Registry
     from cucumbervision.run.fields import Cell, Field
-    from cucumbervision.run.finders import Detections, Finder
+    from cucumbervision.run.finders import Detections
 
 
 _WARM_UP_PX = (640, 480)
@@ -287,7 +287,7 @@ class Measurer:
         with self._finding:
             if self._finder is None:
                 _ = self.site  # report an unreadable calibration before loading networks
-                self._finder = make_finder(self.options, self._registry, self.plug_ins)
+                self._finder = Finder(self.options, self._registry, self.plug_ins)
             return self._finder
 
     def warm_up(self) -> None:

@@ -22,7 +22,7 @@ from cucumbervision.files import json_value, read_json
 from cucumbervision.methods.pose import CUT_BEYOND_M
 from cucumbervision.methods.result import LengthDefinition, Selector
 from cucumbervision.methods.table import TableMethod, plugin_of
-from cucumbervision.networks.confidence import DEFAULT_CONFIDENCE
+from cucumbervision.networks import DEFAULT_CONFIDENCE
 from cucumbervision.networks.registry import file_sha256
 from cucumbervision.networks.runtime import RUNTIMES
 from cucumbervision.networks.sam import PROMPTS

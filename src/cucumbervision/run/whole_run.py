@@ -33,16 +33,18 @@ from cucumbervision.files import (
 )
 from cucumbervision.networks.registry import file_sha256
 from cucumbervision.plugins import plugins
-from cucumbervision.run.batch import Item, LoopOptions, Outcome, Worker, measure_all
-from cucumbervision.run.fields import FIELDS
-from cucumbervision.run.inputs import (
+from cucumbervision.run.batch import (
+    Item,
     Listed,
-    distinct,
+    LoopOptions,
+    Outcome,
+    Worker,
     each_once,
     instance_notes,
     label_file,
     labelled_once,
     list_captures,
+    measure_all,
 )
 from cucumbervision.run.measurer import (
     Boundary,
@@ -316,7 +318,7 @@ class RunResult:
 
     def each_row(self) -> Iterator[dict[str, Cell]]:
         """Yield the rows one after the other."""
-        return rows_of(self.records())
+        return (row for record in self.records() for row in record.rows)
 
     @property
     def exit_code(self) -> int:
@@ -394,29 +396,30 @@ class FolderWorker(Worker[CaptureRecord]):
 
     def __call__(self, item: Item) -> Outcome[CaptureRecord]:
         """Return the record of a capture if it would be made so again; otherwise measure it."""
+        content, earlier = "", None
         with each_file_read_once():
-            parts = item.ref.parts() if isinstance(item, Listed) and item.ref.parts else ()
-            content = content_of(parts) if parts else ""
-            earlier = self._earlier(item, content) if content else None
+            if isinstance(item, Listed) and item.ref.parts:
+                content = content_of(item.ref.parts())
+                earlier = self._earlier(item.name, content)
             read = earlier or self.read(item)
         if isinstance(read, Outcome):
             return read
-        content = content or _content_of_capture(read)
-        return self._earlier(item, content) or self._measured(read, content)
+        if not content:
+            content = _content_of_capture(read)
+            earlier = self._earlier(read.name, content)
+        return earlier or self.measure(read, content)
 
-    def _earlier(self, item: Item, content: str) -> Outcome[CaptureRecord] | None:
-        assert isinstance(item, Listed)
-        record, picture = self._out.find(item.name), self._picture(item.name)
+    def _earlier(self, name: str, content: str) -> Outcome[CaptureRecord] | None:
+        """Return the record of a capture with this content, if it is complete."""
+        record, picture = self._out.find(name), self._picture(name)
         if record is None or record.picture is None or record.key != f"{self.deciding} {content}":
             return None
         is_lost = picture and not self._out.has(picture)
         return None if is_lost else Outcome(record, record.failures)
 
-    def measure(self, capture: Capture) -> Outcome[CaptureRecord]:
-        """Measure a capture, and write its record and picture."""
-        return self._measured(capture, _content_of_capture(capture))
-
-    def _measured(self, capture: Capture, content: str) -> Outcome[CaptureRecord]:
+    def measure(self, capture: Capture, content: str = "") -> Outcome[CaptureRecord]:
+        """Measure a capture, and write its record and image."""
+        content = content or _content_of_capture(capture)
         self.measurer.load()
         result = self.measurer.attempt(capture)
         failures, capture = list(result.failures), result.capture
@@ -494,12 +497,12 @@ def _measured(
     started, options = datetime.now(UTC), measurer.options
     result = RunResult(out.path, failures=plugin_failures(measurer))
     names: list[tuple[tuple[str, ...], int | None]] = []
-    paths = distinct(inputs, result.notes.append)
-    listed = each_once(list_captures(paths, options.reading, batch.opener), result.notes.append)
-    labels = label_file(options.instances)
-    listed = labelled_once(labels, listed)
+    note, labels = result.notes.append, label_file(options.instances)
+    listed = each_once(list_captures(inputs, options.reading, batch.opener, note), note)
     worker = FolderWorker(measurer, out, batch.overlays)
-    for item, outcome in measure_all(listed, worker, batch.engine, batch.is_cancelled):
+    for item, outcome in measure_all(
+        labelled_once(labels, listed), worker, batch.engine, batch.is_cancelled
+    ):
         record = outcome.value
         if isinstance(item, Listed) and record is None and not outcome.failures:  # cancelled before
             record = out.find(item.name)
@@ -523,79 +526,41 @@ def _measured(
         return result
     provenance = provenance_of(options, result.summary.models, measurer.site, started)
     provenance["notes"] = result.notes
-    result.failures += write_reports(
-        out,
-        result.records,
-        result.summary,
-        result.failures,
-        provenance,
-        fields=measurer.plugged.fields,
-        parquet=batch.parquet,
-    )
+    _write_tables(out, result, provenance, measurer.plugged.fields, parquet=batch.parquet)
     return result
 
 
 _PART_ROWS = 100_000
 
 
-def rows_of(records: Iterable[CaptureRecord]) -> Iterator[dict[str, Cell]]:
-    """Yield the rows of all fruit, in order."""
-    for record in records:
-        yield from record.rows
-
-
-def write_reports(
+def _write_tables(
     out: OutputFolder,
-    records: Callable[[], Iterator[CaptureRecord]],
-    summary: Summary,
-    failures: Sequence[Failure],
+    result: RunResult,
     provenance: Mapping[str, Any],
+    fields: Sequence[Field],
     *,
-    fields: Sequence[Field] = FIELDS,
-    parquet: bool = False,
-) -> list[Failure]:
-    """Write the tables of a run; a failed table keeps its previous version.
-
-    Parameters
-    ----------
-    out : OutputFolder
-        Output folder.
-    records : callable
-        Returns a new iterator of the run's captures, in order.
-    summary : Summary
-        Summary of the same captures.
-    failures : sequence of Failure
-        Captures that could not be read, measured or written.
-    provenance : mapping
-        As `provenance_of` returns it.
-    fields : sequence of Field
-        The columns of the rows.
-    parquet : bool
-        Whether to also write `parquet/`.
-
-    Returns
-    -------
-    list of Failure
-        One for each table that could not be written.
-    """
+    parquet: bool,
+) -> None:
+    """Write the tables of a run; one that fails keeps its previous version and is a failure."""
     written: list[Failure] = []
     with Boundary(written, str(out.path)), out.replacing("measurements.csv") as path:
-        write_csv(path, [fruit_field.name for fruit_field in fields], rows_of(records()))
+        write_csv(path, [fruit_field.name for fruit_field in fields], result.each_row())
     with (
         Boundary(written, str(out.path)),
         out.replacing("measurements.json") as path,
         path.open("w", encoding="utf-8", errors="backslashreplace") as file,
     ):
-        file.writelines(_json_pieces(provenance, records(), failures))
+        file.writelines(_json_pieces(provenance, result.records(), result.failures))
     with Boundary(written, str(out.path)), out.replacing("measurements.xlsx") as path:
-        lines = [*excel_limit(summary.fruit), *summary.lines(len(failures), provenance)]
-        write_workbook(path, rows_of(records()), lines, fields=fields)
+        summary, failures = result.summary, len(result.failures)
+        lines = [*excel_limit(summary.fruit), *summary.lines(failures, provenance)]
+        write_workbook(path, result.each_row(), lines, fields=fields)
     if parquet:
         with Boundary(written, str(out.path)):
-            _write_parts(out, rows_of(records()), provenance, fields)
-    with Boundary(written, str(out.path)), out.replacing("failures.csv") as path:
-        write_csv(path, FAILURE_COLUMNS, (vars(failure) for failure in (*failures, *written)))
-    return written
+            _write_parts(out, result.each_row(), provenance, fields)
+    result.failures += written
+    with Boundary(result.failures, str(out.path)), out.replacing("failures.csv") as path:
+        write_csv(path, FAILURE_COLUMNS, map(vars, result.failures))
 
 
 def _json_pieces(

@@ -43,10 +43,17 @@ from cucumbervision.errors import (
     named_error,
 )
 from cucumbervision.methods.result import FruitPose
-from cucumbervision.run.batch import Item, ResultWorker, Worker, measure_all, never
-from cucumbervision.run.detect import PictureWorker, read_picture
+from cucumbervision.run.batch import (
+    Item,
+    Listed,
+    ResultWorker,
+    Worker,
+    list_source,
+    measure_all,
+    never,
+)
+from cucumbervision.run.detect import DetectedPicture, PictureWorker, read_picture
 from cucumbervision.run.fields import FIELDS, row_model
-from cucumbervision.run.inputs import Listed, list_source
 from cucumbervision.run.measurer import Failure, Measurer
 from cucumbervision.service.requests import RequestError, bounded, check_source
 
@@ -112,22 +119,11 @@ class MeasureReply(BaseModel):
     config_sha256: str = Field(description="Hash of the options that were measured with.")
 
 
-class SeenPicture(BaseModel):
-    """One picture and the fruit found in it."""
-
-    name: str
-    width: int
-    height: int
-    fruit: list[dict[str, Any]] = Field(
-        description="As COCO's results: bbox, score, segmentation, keypoints; and the class name."
-    )
-
-
 class DetectReply(BaseModel):
-    """The detections in the pictures of one request."""
+    """The detections in the images of one request."""
 
     version: Literal[1] = 1
-    pictures: list[SeenPicture]
+    pictures: list[DetectedPicture]
     failures: list[NotRead]
 
 
@@ -262,16 +258,12 @@ class Work:
         """
         require_few(files, self.settings.limits)
         with self.turn(has_left) as folder:
-            named = [(clean_name(name), stream) for name, stream in files]
-            refs = [
-                CaptureRef(name, 0, partial(_read, folder / f"{k:04d}", name, stream))
-                for k, (name, stream) in enumerate(named)
-            ]
-            listed = [Listed(ref.name, ref, ref.name) for ref in refs]
-            seen, failures = _outcomes(listed, PictureWorker(self.measurer), has_left)
-        pictures = [
-            SeenPicture(name=x.name, width=x.width, height=x.height, fruit=x.entries) for x in seen
-        ]
+            listed = []
+            for k, (sent_name, stream) in enumerate(files):
+                name = clean_name(sent_name)
+                load = partial(_read, folder / f"{k:04d}", name, stream)
+                listed.append(Listed(name, CaptureRef(name, 0, load), name))
+            pictures, failures = _outcomes(listed, PictureWorker(self.measurer), has_left)
         return DetectReply(pictures=pictures, failures=[NotRead.of(x) for x in failures])
 
 
@@ -299,13 +291,16 @@ class _Metrics:
 
     def __init__(self) -> None:
         self.registry = CollectorRegistry()
-        of: dict[str, Any] = {"namespace": "cucumbervision", "registry": self.registry}
-        help_text = "Requests by path and status"
-        self.requests = Counter("requests", help_text, ("path", "status"), **of)
-        help_text = "Captures, pictures, fruit and failures of answers"
-        self.results = Counter("found", help_text, ("what",), **of)
-        help_text, paths = "Time of admitted requests, waiting included", ("path",)
-        self.seconds = Histogram("request_seconds", help_text, paths, buckets=_TIMES_S, **of)
+        counter = partial(Counter, namespace="cucumbervision", registry=self.registry)
+        self.requests = counter("requests", "Requests by path and status", ("path", "status"))
+        self.results = counter("found", "Captures, images, fruit and failures", ("what",))
+        self.seconds = Histogram(
+            "cucumbervision_request_seconds",
+            "Time of admitted requests, waiting included",
+            ("path",),
+            buckets=_TIMES_S,
+            registry=self.registry,
+        )
 
     def count(self, path: str, status: int, taken_s: float) -> None:
         """Count a request, and record the time of an admitted one."""
@@ -317,13 +312,9 @@ class _Metrics:
     def counted(self, what: str, reply: ReplyT) -> ReplyT:
         """Count what an answer holds, and return it."""
         parts = getattr(reply, what)
-        fruit = sum(len(part.fruit) for part in parts)
-        for name, number in (
-            (what, len(parts)),
-            ("fruit", fruit),
-            ("failures", len(reply.failures)),
-        ):
-            self.results.labels(name).inc(number)
+        self.results.labels(what).inc(len(parts))
+        self.results.labels("fruit").inc(sum(len(part.fruit) for part in parts))
+        self.results.labels("failures").inc(len(reply.failures))
         return reply
 
 

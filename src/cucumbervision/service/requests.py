@@ -1,14 +1,13 @@
-"""The gate of both servers, service and dashboard: connections, heads, origins and bodies."""
+"""What service and dashboard check of every request: connection, origin and body."""
 
 from __future__ import annotations
 
 import asyncio
-import logging
 import re
+import socket
 import time
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any, ClassVar
-from urllib.parse import urlsplit
+from typing import TYPE_CHECKING, Any
 
 import uvicorn
 from starlette.exceptions import HTTPException
@@ -23,10 +22,13 @@ if TYPE_CHECKING:
     from starlette.datastructures import Headers
     from starlette.types import ASGIApp, Message, Receive
 
-_MINUTE_S = 60.0
+_MOST_CONNECTIONS = 512
 _LEAVE_S = 5  # longest wait for open connections at the end
 _PORTS = {"http": 80, "https": 443}
-_PLACE = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[\w.-]{1,253})(:\d{0,5})?", re.A)
+_PLACE = re.compile(
+    r"((?P<scheme>\w+)://)?(?P<name>\[[0-9A-Fa-f:.]+\]|[\w.-]{1,253})(:(?P<port>\d{1,4}|[1-6]\d{4}))?",
+    re.ASCII,
+)
 _CLOSED = {"Connection": "close"}  # what is left of the body is not read
 _TAIL_BYTES = 256  # a form's closing boundary, of 70 characters at most, and what may follow it
 
@@ -48,16 +50,12 @@ def parse_place(value: str, header: str = "Host") -> tuple[str, str, int | None]
     >>> parse_place("House:8501"), parse_place("https://[::1]", "Origin")
     (('', 'house', 8501), ('https', '::1', None))
     """
-    remedy = "name a host and its port"
-    try:
-        parts = urlsplit(value if header == "Origin" else f"//{value}")
-        port = parts.port
-        beside = parts.path or parts.query or parts.fragment or not _PLACE.fullmatch(parts.netloc)
-        if beside or port == 0 or (header == "Origin") != bool(parts.scheme):
-            raise ValueError
-    except ValueError:
-        raise RequestError(f"the header {header} is malformed", remedy=remedy) from None
-    return parts.scheme, str(parts.hostname), port
+    match = _PLACE.fullmatch(value)
+    port = match and match["port"] and int(match["port"])
+    if match is None or (header == "Origin") != bool(match["scheme"]) or port == 0:
+        fault = f"the header {header} is malformed"
+        raise RequestError(fault, remedy="name a host and its port")
+    return match["scheme"] or "", match["name"].strip("[]").lower(), port or None
 
 
 def check_source(headers: Headers, *, method: str = "GET", local: bool = False) -> None:
@@ -159,74 +157,19 @@ def bounded(
 
 
 class HeadLimit(H11Protocol):
-    """HTTP/1.1 with limits for the number of connections and for the time of a request's head.
-
-    Where all connections are in use, the one that has waited longest for its head is closed: half
-    heads exclude nobody.
-    """
+    """HTTP/1.1 that closes a connection without a whole head of a request after `head_s`."""
 
     head_s = 10.0
-    most_connections = 512
-    _headless: ClassVar[dict[HeadLimit, asyncio.TimerHandle]] = {}  # the oldest first
 
     def connection_made(self, transport: Any) -> None:
-        """Start the timeout of the first head, or close a connection that is one too many."""
+        """Start the timeout of the first head; uvicorn's own ends a connection between requests."""
         super().connection_made(transport)
-        self._await_head()
-        if len(self.connections) > self.most_connections:
-            self.logger.warning("too many connections: those without a request are closed")
-            oldest = next(iter(self._headless))
-            oldest._forget()
-            oldest.transport.abort()
+        self.loop.call_later(self.head_s, self._close_without_head)
 
-    def data_received(self, data: bytes) -> None:
-        """Process data, and start or end the timeout of a head."""
-        super().data_received(data)
-        self._await_head()
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        """Forget the connection."""
-        self._forget()
-        super().connection_lost(exc)
-
-    def send_400_response(self, msg: str) -> None:
-        """Refuse a malformed request; a handler of its first part sees a disconnected client."""
-        cycle: Any = self.cycle
-        if cycle is not None and not cycle.response_complete:
-            cycle.disconnected = True
-            cycle.message_event.set()
-        if cycle is not None and cycle.response_started:
+    def _close_without_head(self) -> None:
+        cycle: Any = self.cycle  # None before the first request
+        if cycle is None and self.transport.get_protocol() is self:  # no web socket either
             self.transport.close()
-        else:
-            super().send_400_response(msg)
-
-    def _await_head(self) -> None:
-        cycle: Any = self.cycle  # the latest request; None before the first
-        is_socket = self.transport.get_protocol() is not self
-        if is_socket or (cycle is not None and not cycle.response_complete):
-            self._forget()
-        elif self not in self._headless:
-            timer = self.loop.call_later(self.head_s, self.transport.close)
-            self._headless[self] = timer
-
-    def _forget(self) -> None:
-        timer = self._headless.pop(self, None)
-        if timer is not None:
-            timer.cancel()
-
-
-class _OnceAMinute(logging.Filter):
-    """Passes a message once a minute: a flood of requests does not fill the disk."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._passed_s: dict[str, float] = {}
-
-    def filter(self, record: logging.LogRecord) -> bool:
-        """Return whether a message is written."""
-        text, now_s = f"{record.msg}{record.exc_info and record.exc_info[1]!r}", time.monotonic()
-        self._passed_s = {key: at for key, at in self._passed_s.items() if now_s - at < _MINUTE_S}
-        return self._passed_s.setdefault(text, now_s) == now_s
 
 
 def listen(
@@ -237,7 +180,7 @@ def listen(
     sockets: str = "none",
     ready: Callable[[], None] = lambda: None,
 ) -> None:
-    """Serve an application until it is interrupted, with `HeadLimit`.
+    """Serve an application until it is interrupted.
 
     Parameters
     ----------
@@ -250,32 +193,31 @@ def listen(
     sockets : str
         Uvicorn's implementation of web sockets.
     ready : callable
-        Called once the port is bound; if it is taken, the program ends instead.
-    """
-    descriptors = 1024
-    try:
-        import resource
+        Called once the port is bound.
 
-        descriptors = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
-    except ImportError:  # Windows
-        pass
-    # One pass of the event loop accepts as many as `backlog`, before any of them can be refused.
-    backlog = max(min(descriptors // 16, 128), 8)
-    HeadLimit.most_connections = min(descriptors // 2, 4096)
-    for name in ("uvicorn.error", "asyncio"):
-        logging.getLogger(name).addFilter(_OnceAMinute())
+    Raises
+    ------
+    CucumberVisionError
+        If the port cannot be bound, as where another program uses it.
+    """
+    family = socket.AF_INET6 if ":" in address else socket.AF_INET
+    try:
+        bound = socket.create_server((address, port), family=family)
+    except OSError as error:
+        raise CucumberVisionError(
+            f"port {port} cannot be used ({error.strerror})",
+            source=address,
+            remedy="end the program that uses it, or choose another --port",
+        ) from None
     config = uvicorn.Config(
         app,
-        host=address,
-        port=port,
         http=HeadLimit,
         ws=sockets,
-        backlog=backlog,
+        limit_concurrency=_MOST_CONNECTIONS,
         log_level="warning",
         server_header=False,
         timeout_graceful_shutdown=_LEAVE_S,
     )
-    bound = config.bind_socket()
     ready()
     with suppress(KeyboardInterrupt):
         uvicorn.Server(config).run(sockets=[bound])

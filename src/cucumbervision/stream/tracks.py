@@ -9,6 +9,7 @@ assigned once.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import count
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -308,15 +309,41 @@ _LONGEST_UNSEEN_S = 20.0
 
 
 @dataclass(eq=False)
-class _Track:
-    """A tracked fruit, with its position after the estimated movement of the camera."""
+class Track:
+    """A fruit that is followed from frame to frame.
+
+    Parameters
+    ----------
+    number : int
+        Its number.
+    sighting : Sighting
+        The latest detection.
+    at_m : ndarray of float64, shape (3,)
+        Where it is now, after the estimated movement of the camera since then.
+    seen_s : float
+        When it was seen last, seconds.
+    moved_m : ndarray of float64, shape (3,)
+        Movement since then.
+    unseen_frames : int
+        Frames since then.
+    length : TrackLength
+        Its length from all frames.
+    seen_frames, waiting : int
+        Frames in which it was seen, and those since it was measured.
+    measured_at : Sighting, optional
+        The detection that was measured last.
+    """
 
     number: int
     sighting: Sighting
     at_m: NDArray[np.float64]
+    seen_s: float
     moved_m: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
-    seen_s: float = 0.0
     unseen_frames: int = 0
+    length: TrackLength = field(default_factory=TrackLength)
+    seen_frames: int = 0
+    waiting: int = 0
+    measured_at: Sighting | None = None
 
     def is_lost(self, now_s: float, keep_s: float) -> bool:
         """Return whether it was out of sight for too long, also where time goes back.
@@ -347,39 +374,41 @@ class Tracker:
     ...     return Sighting(np.array([x, 0.0, 0.6]), 100, round(900 * x / 0.6), square)
     >>> tracker = Tracker()
     >>> camera = Intrinsics(1280, 720, 900.0, 900.0, 0.0, 360.0)
-    >>> tracker.assign([sighting(0.10), sighting(0.25)], camera, 0.0)
+    >>> tracks = tracker.assign([sighting(0.10), sighting(0.25)], camera, 0.0)
+    >>> [track.number for track in tracks]
     [1, 2]
 
     The camera walks on by 6 cm; a third fruit comes into sight:
 
-    >>> tracker.assign([sighting(0.04), sighting(0.19), sighting(0.34)], camera, 0.1)
+    >>> tracks = tracker.assign([sighting(x) for x in (0.04, 0.19, 0.34)], camera, 0.1)
+    >>> [track.number for track in tracks]
     [1, 2, 3]
     """
 
     def __init__(self, keep_s: float = 2.0) -> None:
         self._keep_s = keep_s
-        self._tracks: list[_Track] = []
-        self._next = 1
+        self.tracks: list[Track] = []
+        self._numbers = count(1)
         self._at_s: float | None = None
         self._speed_m_s: NDArray[np.float64] | None = None
 
-    @property
-    def numbers(self) -> frozenset[int]:
-        """Numbers of the fruit that are tracked."""
-        return frozenset(track.number for track in self._tracks)
-
     def forget(self) -> None:
         """Forget all fruit, for a new scene. Numbers are not reused."""
-        self._tracks, self._speed_m_s = [], None
+        self.tracks, self._speed_m_s = [], None
 
-    def split(self, number: int) -> int:
-        """Give a wrongly matched fruit a new number."""
-        track = next(candidate for candidate in self._tracks if candidate.number == number)
-        track.number, self._next = self._next, self._next + 1
-        return track.number
+    def split(self, track: Track) -> Track:
+        """Return the track of another fruit, in place of one that was matched wrongly."""
+        other = self._begun(track.sighting, track.seen_s)
+        self.tracks[self.tracks.index(track)] = other
+        return other
 
-    def assign(self, sightings: Sequence[Sighting], camera: Intrinsics, now_s: float) -> list[int]:
-        """Return the number of each detection's fruit.
+    def _begun(self, sighting: Sighting, now_s: float) -> Track:
+        return Track(next(self._numbers), sighting, sighting.at_m, now_s)
+
+    def assign(
+        self, sightings: Sequence[Sighting], camera: Intrinsics, now_s: float
+    ) -> list[Track]:
+        """Return the track of each detection's fruit.
 
         Parameters
         ----------
@@ -392,31 +421,31 @@ class Tracker:
         """
         elapsed_s = max(now_s - self._at_s, 0.0) if self._at_s is not None else 0.0
         self._at_s = now_s
-        self._tracks = [track for track in self._tracks if not track.is_lost(now_s, self._keep_s)]
-        for track in self._tracks:
+        self.tracks = [track for track in self.tracks if not track.is_lost(now_s, self._keep_s)]
+        for track in self.tracks:
             track.unseen_frames += 1
-        if self._tracks and sightings:
+        matched: dict[int, Track] = {}
+        if self.tracks and sightings:
             pairs = self._pair(sightings, camera, elapsed_s)
+            matched = {j: self.tracks[i] for i, j in pairs.tolist()}
         else:
-            pairs = np.zeros((0, 2), np.intp)
             self._carry_on(self._predicted(elapsed_s))
-        numbers = [0] * len(sightings)
-        for i, j in pairs.tolist():
-            track = self._tracks[i]
-            numbers[j] = track.number
-            self._tracks[i] = _Track(track.number, sightings[j], sightings[j].at_m, seen_s=now_s)
         for j, sighting in enumerate(sightings):
-            if not numbers[j]:
-                numbers[j], self._next = self._next, self._next + 1
-                self._tracks.append(_Track(numbers[j], sighting, sighting.at_m, seen_s=now_s))
-        return numbers
+            if j in matched:
+                track = matched[j]
+                track.sighting, track.at_m, track.seen_s = sighting, sighting.at_m, now_s
+                track.moved_m, track.unseen_frames = np.zeros(3), 0
+            else:
+                matched[j] = self._begun(sighting, now_s)
+                self.tracks.append(matched[j])
+        return [matched[j] for j in range(len(sightings))]
 
     def _predicted(self, elapsed_s: float) -> NDArray[np.float64]:
         speed = np.zeros(3) if self._speed_m_s is None else self._speed_m_s
         return np.asarray(speed * elapsed_s)
 
     def _carry_on(self, shift_m: NDArray[np.float64]) -> None:
-        for track in self._tracks:
+        for track in self.tracks:
             track.at_m = track.at_m + shift_m
             track.moved_m = track.moved_m + shift_m
 
@@ -430,9 +459,9 @@ class Tracker:
         reach = _WALK_M_S if self._speed_m_s is None else _TURN_M_S
         reach_m = _STILL_M + reach * elapsed_s
         gap = np.array([sighting.at_m for sighting in sightings]) - np.array(
-            [track.at_m for track in self._tracks]
+            [track.at_m for track in self.tracks]
         ).reshape(-1, 1, 3)
-        unseen_s = np.array([(self._at_s or 0.0) - track.seen_s for track in self._tracks])
+        unseen_s = np.array([(self._at_s or 0.0) - track.seen_s for track in self.tracks])
         spread = np.array([SURFACE_SD_M, SURFACE_SD_M, SURFACE_DEPTH_SD_M])
         variance = 2 * spread**2 + (_DRIFT_M_S * unseen_s[:, None, None]) ** 2
         crowd = _crowd(sightings, camera)
@@ -448,8 +477,8 @@ class Tracker:
 
     def _overlaps(self, sightings: Sequence[Sighting], camera: Intrinsics) -> NDArray[np.float64]:
         """Return the log ratio from the mask overlap of each pair."""
-        shares = np.zeros((len(self._tracks), len(sightings)))
-        for i, track in enumerate(self._tracks):
+        shares = np.zeros((len(self.tracks), len(sightings)))
+        for i, track in enumerate(self.tracks):
             before = track.sighting.at_m
             shift_px = np.zeros(2)
             if np.isfinite(before).all() and before[2] + track.moved_m[2] > 0:

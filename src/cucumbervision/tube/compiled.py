@@ -11,6 +11,8 @@ import ctypes
 import hashlib
 import os
 import struct
+import threading
+from contextlib import ContextDecorator
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -20,6 +22,8 @@ import numpy as np
 from cucumbervision.tube.shape import BALLS, BEND_SEGMENTS, FINE, WIDTH_SEGMENTS, bases
 
 if TYPE_CHECKING:
+    from typing import Self
+
     from cucumbervision.arrays import Array, Numbers
     from cucumbervision.tube.evidence import Evidence
     from cucumbervision.tube.shape import TubeShape
@@ -28,6 +32,52 @@ FOLDER = Path(__file__).parent / "kernel"
 _BODY = 3 * (BEND_SEGMENTS + 3) + (WIDTH_SEGMENTS + 3) + 3
 _TILE, _ROWS = 4, 48  # of kernel.h
 _MOST_WAVES = 1000
+
+
+class OneThread(ContextDecorator):
+    """Limits BLAS to one thread inside a `with` block or a decorated function.
+
+    The matrices are small: with several threads, BLAS needs several times the processor time. The
+    limit applies to the process. Blocks may be nested and concurrent: the first block saves the
+    setting of the process, and the last one restores it. Threads of networks are not limited.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> with OneThread():
+    ...     round(float(np.linalg.det(2 * np.eye(3))))
+    8
+    """
+
+    _lock = threading.Lock()
+    _inside = 0
+    _limit: Any = None
+
+    def __enter__(self) -> Self:
+        """Limit BLAS, unless it is limited already."""
+        cls = OneThread
+        with cls._lock:
+            if not cls._inside:
+                cls._limit = _blas().limit(limits=1)
+            cls._inside += 1
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Restore the previous setting, if no other block is active."""
+        cls = OneThread
+        with cls._lock:
+            cls._inside -= 1
+            if not cls._inside:
+                cls._limit.restore_original_limits()
+                cls._limit = None
+
+
+@cache
+def _blas() -> Any:
+    # Only loaded libraries are limited: of SciPy's own BLAS measuring calls nothing.
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController().select(user_api="blas")
 
 
 def kernel_name() -> str:

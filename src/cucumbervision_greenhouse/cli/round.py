@@ -119,7 +119,7 @@ def add(
     from rich.console import Console
 
     from cucumbervision.cli.console import progress_bar, screen, stopping_gently
-    from cucumbervision.run.inputs import count_captures
+    from cucumbervision.run.batch import count_captures
     from cucumbervision_greenhouse.rounds.adding import Place, add_captures
     from cucumbervision_greenhouse.rounds.fruit_table import round_doubts
     from cucumbervision_greenhouse.rounds.poses import read_poses

@@ -27,15 +27,16 @@ from cucumbervision.fruit.masks import box_ious
 from cucumbervision.run.batch import (
     Engine,
     Item,
+    Listed,
     LoopOptions,
     Outcome,
     ResultWorker,
     in_process,
     measure_all,
     never,
+    read_captures,
 )
 from cucumbervision.run.fields import stored_row
-from cucumbervision.run.inputs import Listed, read_captures
 from cucumbervision.run.measurer import Boundary, Failure, Measurer
 from cucumbervision.run.options import GRAVITY_BY_EDGE
 from cucumbervision.tube.shape import arc_positions

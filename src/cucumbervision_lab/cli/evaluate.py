@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from cucumbervision.cli.choices import InputSize, Runtime
-from cucumbervision.networks.confidence import DEFAULT_CONFIDENCE
+from cucumbervision.networks import DEFAULT_CONFIDENCE
 from cucumbervision_lab.cli.screen import part_bars, show, show_tables, ticking
 
 Seg = Annotated[
@@ -42,7 +42,7 @@ def evaluate_models(
     ] = 40,
 ) -> None:
     """Evaluate the networks on labelled pictures: precision, recall, keypoints, masks, lengths."""
-    from cucumbervision.networks.confidence import parse_input_sizes
+    from cucumbervision.networks.yolo import parse_input_sizes
     from cucumbervision_lab.evaluate.report import detection_tables, write_detection_report
     from cucumbervision_lab.evaluate.scenes import evaluate_detection
 
@@ -78,7 +78,7 @@ def evaluate_photos(
     split: Annotated[str, typer.Option(help="Split: test, val or train.")] = "test",
 ) -> None:
     """Evaluate the networks on audited real photos: recall and precision by test."""
-    from cucumbervision.networks.confidence import parse_input_sizes
+    from cucumbervision.networks.yolo import parse_input_sizes
     from cucumbervision_lab.evaluate.photos import audited_photos
     from cucumbervision_lab.evaluate.photos import evaluate_photos as evaluate
     from cucumbervision_lab.evaluate.pictures import open_networks

@@ -288,7 +288,7 @@ def export(
     input_size: InputSize = "",
 ) -> None:
     """Export a network to ONNX with its card."""
-    from cucumbervision.networks.confidence import parse_input_sizes
+    from cucumbervision.networks.yolo import parse_input_sizes
     from cucumbervision_lab.train.export import export_trained
 
     export_trained(

@@ -19,7 +19,7 @@ from cucumbervision.errors import CucumberVisionError, MissingExtraError
 from cucumbervision.methods import intervals
 from cucumbervision.methods.result import IntervalBasis
 from cucumbervision.methods.table import AVAILABLE
-from cucumbervision.run.finders import Finder, make_finder
+from cucumbervision.run.finders import Finder
 from cucumbervision.run.options import MeasureOptions
 from cucumbervision_lab.arrays import Array, Progress
 from cucumbervision_lab.evaluate.cases import Case, paper_cases, stress_cases, validation_cases
@@ -456,7 +456,7 @@ def _measure(options: CaseOptions, case: Case) -> list[Row]:
 @lru_cache
 def package_finder() -> Finder:
     """Return what finds fruit with the package's networks, loaded once in each process."""
-    return make_finder(MeasureOptions(instances="models"))
+    return Finder(MeasureOptions(instances="models"))
 
 
 @dataclass(frozen=True)

@@ -18,16 +18,16 @@ from cucumbervision.errors import DataSetError, MissingExtraError, ModelError
 from cucumbervision.fruit.instance import Instance
 from cucumbervision.fruit.mask_codes import Rle
 from cucumbervision.methods.paper_methods import reference_depth
-from cucumbervision.networks.confidence import (
-    CANDIDATE_CONFIDENCE,
-    DEFAULT_CONFIDENCE,
-    detector_floor,
-    pose_floor,
+from cucumbervision.networks import CANDIDATE_CONFIDENCE, DEFAULT_CONFIDENCE
+from cucumbervision.networks.find import (
+    FruitLooker,
+    NetworkLoader,
+    NetworkSegmenter,
+    PictureLooks,
+    each_fruit_once,
 )
-from cucumbervision.networks.find import NetworkLoader, NetworkSegmenter, each_fruit_once
 from cucumbervision.networks.keypoint_axis import place_keypoints
-from cucumbervision.networks.looks import FruitLooker, PictureLooks
-from cucumbervision.networks.yolo import YoloDetector
+from cucumbervision.networks.yolo import YoloDetector, detector_floor, pose_floor
 from cucumbervision_lab.arrays import Array32, Pixels
 from cucumbervision_lab.data.checks import picture_faults, require_clean
 from cucumbervision_lab.data.coco import read_coco

@@ -20,7 +20,7 @@ from cucumbervision.fruit.masks import box_ious, box_of_mask, share_inside
 from cucumbervision.methods.intervals import IntervalModels
 from cucumbervision.methods.pose import stem_first
 from cucumbervision.methods.result import Fruit, FruitPose, Part
-from cucumbervision.networks.confidence import DEFAULT_CONFIDENCE
+from cucumbervision.networks import DEFAULT_CONFIDENCE
 from cucumbervision_lab.arrays import Array
 from cucumbervision_lab.data.labels import DataSet, LabelledPicture
 from cucumbervision_lab.evaluate.benchmark import (

@@ -20,7 +20,7 @@ from cucumbervision.methods.intervals import (
     look_features,
     shipped_interval_models,
 )
-from cucumbervision.networks.looks import ERROR_SCALE, STATES, EndLooker, looked_at
+from cucumbervision.networks.find import ERROR_SCALE, STATES, EndLooker, looked_at
 from cucumbervision_lab.evaluate.benchmark import (
     TUBE_FEATURES,
     fit_interval_model,

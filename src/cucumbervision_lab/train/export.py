@@ -27,7 +27,7 @@ import onnx
 
 from cucumbervision.errors import ModelError, TrainingError
 from cucumbervision.files import read_json
-from cucumbervision.networks.confidence import DETECTOR_SIZES_PX
+from cucumbervision.networks import DETECTOR_SIZES_PX
 from cucumbervision.networks.registry import file_sha256
 from cucumbervision.networks.yolo import ONE_TO_ONE_KEY, ORDER_KEY, SIZES_KEY
 from cucumbervision_lab.train.network import (

@@ -19,7 +19,7 @@ from cucumbervision.files import write_bytes
 from cucumbervision.fruit.crops import HEIGHT_PX, PLANES, WIDTH_PX, FruitCrop, fruit_crop
 from cucumbervision.fruit.instance import Instance
 from cucumbervision.fruit.masks import box_ious, mask_iou
-from cucumbervision.networks.confidence import CANDIDATE_CONFIDENCE
+from cucumbervision.networks import CANDIDATE_CONFIDENCE
 from cucumbervision.networks.find import NetworkLoader
 from cucumbervision.networks.yolo import YoloDetector
 from cucumbervision_lab.arrays import Array, Array32, Mask, Pixels, Progress

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cucumbervision.fruit.crops import HEIGHT_PX, PLANES, WIDTH_PX
-from cucumbervision.networks.confidence import DEFAULT_CONFIDENCE
+from cucumbervision.networks import DEFAULT_CONFIDENCE
 from cucumbervision_lab.arrays import Array, Array32, Mask
 from cucumbervision_lab.train.classifier import (
     CHANNELS,

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from cucumbervision.errors import TrainingError
-from cucumbervision.networks.confidence import DEFAULT_CONFIDENCE
+from cucumbervision.networks import DEFAULT_CONFIDENCE
 from cucumbervision.networks.registry import JUDGEMENT, file_sha256, load_registry
 from cucumbervision_lab.data.coco import ANNOTATIONS, read_coco
 from cucumbervision_lab.data.labels import DataSet

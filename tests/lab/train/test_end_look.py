@@ -10,7 +10,7 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("ultralytics")
 
 from cucumbervision.fruit.crops import END_PX, PLANES, QUANTILES, EndCrop  # noqa: E402
-from cucumbervision.networks.looks import ERROR_SCALE, EndLooker  # noqa: E402
+from cucumbervision.networks.find import ERROR_SCALE, EndLooker  # noqa: E402
 from cucumbervision_lab.train.classifier import ClassifierOptions, begun_network  # noqa: E402
 from cucumbervision_lab.train.end_crops import EndCrops  # noqa: E402
 from cucumbervision_lab.train.end_look import (  # noqa: E402

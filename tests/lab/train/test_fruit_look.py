@@ -12,7 +12,7 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("ultralytics")
 
 from cucumbervision.fruit.crops import HEIGHT_PX, WIDTH_PX, FruitCrop  # noqa: E402
-from cucumbervision.networks.looks import FruitLooker  # noqa: E402
+from cucumbervision.networks.find import FruitLooker  # noqa: E402
 from cucumbervision_lab.train.classifier import ClassifierOptions  # noqa: E402
 from cucumbervision_lab.train.fruit_crops import SURROUND_PX, FruitCrops  # noqa: E402
 from cucumbervision_lab.train.fruit_look import (  # noqa: E402

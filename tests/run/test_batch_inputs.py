@@ -12,7 +12,7 @@ from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers import ReadOptions
 from cucumbervision.capture.readers.native import write_native
-from cucumbervision.run.inputs import count_captures, read_captures
+from cucumbervision.run.batch import count_captures, read_captures
 from cucumbervision.run.measurer import Failure
 
 

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import shutil
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from onnx import TensorProto, helper, numpy_helper
-from tests.networks.test_find_loader import pose_network, registry_of
+from tests.constant_network import registry_of
+from tests.networks.test_find_loader import pose_network
 
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
@@ -18,8 +18,13 @@ from cucumbervision.errors import ModelError
 from cucumbervision.fruit.crops import HEIGHT_PX, WIDTH_PX, fruit_crop
 from cucumbervision.fruit.instance import UNKNOWN_ORDER, Instance
 from cucumbervision.fruit.masks import box_of_mask, mask_iou
-from cucumbervision.networks.find import NetworkLoader
-from cucumbervision.networks.looks import FruitLook, FruitLooker, PictureLooks, refined
+from cucumbervision.networks.find import (
+    FruitLook,
+    FruitLooker,
+    NetworkLoader,
+    PictureLooks,
+    refined,
+)
 from cucumbervision.networks.registry import load_registry
 
 if TYPE_CHECKING:
@@ -85,57 +90,29 @@ def test_another_network_is_refused() -> None:
         FruitLooker(ends)
 
 
-def fruit_network(path: Path) -> Path:
-    """Write a network that outlines what is green, with the same points whatever it sees."""
-    points = np.concatenate([POINTS[:, :2], np.full((5, 1), 4.0)], axis=1).astype(np.float32)
-    constants = {
-        "first": np.array([0], np.int64),
-        "second": np.array([1], np.int64),
-        "third": np.array([2], np.int64),
-        "axis": np.array([1], np.int64),
-        "gain": np.float32(40),
-        "four": np.float32(4),
-        "zero": np.float32(0),
-        "line": points[None],
-        "sure": np.array([[2.0, 3.0]], np.float32),
-    }
-    nodes = [
-        helper.make_node("Slice", ["crops", "first", "second", "axis"], ["red"]),
-        helper.make_node("Slice", ["crops", "second", "third", "axis"], ["green"]),
-        helper.make_node("Sub", ["green", "red"], ["greener"]),
-        helper.make_node("Mul", ["greener", "gain"], ["much"]),
-        helper.make_node("Sub", ["much", "four"], ["plane"]),
-        helper.make_node("Squeeze", ["plane", "axis"], ["outline"]),
-        helper.make_node("ReduceMax", ["crops"], ["most"], axes=[2, 3], keepdims=0),
-        helper.make_node("Slice", ["most", "first", "second", "axis"], ["mean"]),
-        helper.make_node("Mul", ["mean", "zero"], ["nothing"]),
-        helper.make_node("Unsqueeze", ["nothing", "axis"], ["none"]),
-        helper.make_node("Add", ["none", "line"], ["points"]),
-        helper.make_node("Add", ["nothing", "sure"], ["verdict"]),
-    ]
-    shapes = {"outline": ["n", HEIGHT_PX, WIDTH_PX], "points": ["n", 5, 3], "verdict": ["n", 2]}
-    graph = helper.make_graph(
-        nodes,
-        "fruit",
-        [helper.make_tensor_value_info("crops", TensorProto.FLOAT, ["n", 6, HEIGHT_PX, WIDTH_PX])],
-        [helper.make_tensor_value_info(k, TensorProto.FLOAT, v) for k, v in shapes.items()],
-        [numpy_helper.from_array(np.asarray(v), k) for k, v in constants.items()],
-    )
-    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
-    path.write_bytes(model.SerializeToString())
-    return path
+class GreenLooker(FruitLooker):
+    """Outlines what is green, with the same points whatever it sees."""
+
+    def __init__(self) -> None:
+        self.shown: list[int] = []
+
+    def look(self, crops: Sequence[FruitCrop], *, once: bool = False) -> list[FruitLook]:
+        assert not once
+        self.shown += [len(crops)] * bool(crops)
+        greener = [crop.planes[..., 1] / 255.0 - crop.planes[..., 0] / 255.0 for crop in crops]
+        return [FruitLook((40 * g - 4).astype(np.float32), POINTS, 2.0, 3.0) for g in greener]
 
 
-def test_nothing_to_look_at_gives_nothing_and_fruit_without_mask_stay(tmp_path: Path) -> None:
-    looker = FruitLooker(fruit_network(tmp_path / "fruit.onnx"))
+def test_nothing_to_look_at_gives_nothing_and_fruit_without_mask_stay() -> None:
+    looker = GreenLooker()
     color = np.full((120, 320, 3), 90, np.uint8)
     bare = replace(_instance(), detector_mask=None)
     assert looker.look([]) == []
     assert PictureLooks(looker, color).refine([bare]) == (bare,)
 
 
-def test_fruit_get_the_networks_outlines_and_neighbours_keep_their_pixels(tmp_path: Path) -> None:
-    looker = FruitLooker(fruit_network(tmp_path / "fruit.onnx"))
+def test_fruit_get_the_networks_outlines_and_neighbours_keep_their_pixels() -> None:
+    looker = GreenLooker()
     color = np.full((120, 320, 3), 200, np.uint8)
     color[MASK] = 40, 120, 45
     coarse, neighbour = np.zeros_like(MASK), np.zeros_like(MASK)
@@ -153,8 +130,8 @@ def test_fruit_get_the_networks_outlines_and_neighbours_keep_their_pixels(tmp_pa
     assert second.detector_mask is neighbour
 
 
-def test_what_a_crop_shows_changes_the_confidence(tmp_path: Path) -> None:
-    looker = FruitLooker(fruit_network(tmp_path / "fruit.onnx"))
+def test_what_a_crop_shows_changes_the_confidence() -> None:
+    looker = GreenLooker()
     color = np.full((120, 320, 3), 200, np.uint8)
     bare = replace(_instance(), detector_mask=None)
     shown, unseen = PictureLooks(looker, color).rescore([_instance(), bare])
@@ -163,28 +140,20 @@ def test_what_a_crop_shows_changes_the_confidence(tmp_path: Path) -> None:
     assert unseen is bare
 
 
-def test_each_mask_is_looked_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    looker = FruitLooker(fruit_network(tmp_path / "fruit.onnx"))
-    shown, look = [], looker.look
-
-    def counted(crops: list[FruitCrop], *, once: bool) -> list[FruitLook]:
-        assert not once
-        shown.append(len(crops))
-        return look(crops)
-
-    monkeypatch.setattr(looker, "look", counted)
+def test_each_mask_is_looked_at_once() -> None:
+    looker = GreenLooker()
     color = np.full((120, 320, 3), 200, np.uint8)
     color[MASK] = 40, 120, 45
     looks = PictureLooks(looker, color)
     (rescored,) = looks.rescore([_instance()])
     joined = replace(rescored, detector_mask=MASK | np.roll(MASK, 3, axis=1))
     first, second = looks.refine([rescored, joined])
-    assert shown == [1, 1]
+    assert looker.shown == [1, 1]
     assert first.detector_mask is not None
     assert second.detector_mask is not None
     # Another picture is another look.
     PictureLooks(looker, color).refine([rescored])
-    assert shown == [1, 1, 1]
+    assert looker.shown == [1, 1, 1]
 
 
 def test_a_crop_and_the_turned_one_get_the_same_outline_and_opposite_stem_ends() -> None:
@@ -210,9 +179,9 @@ def test_a_crop_and_the_turned_one_get_the_same_outline_and_opposite_stem_ends()
 
 @pytest.mark.parametrize("right", [False, True])
 def test_points_by_place_are_ordered_by_the_look_and_others_stay(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, right: bool
+    monkeypatch: pytest.MonkeyPatch, right: bool
 ) -> None:
-    looker = FruitLooker(fruit_network(tmp_path / "fruit.onnx"))
+    looker = GreenLooker()
     stem = _crop().to_picture(POINTS[[-1 if right else 0], :2])[0]
     look = _look(slice(60, 260), 3.0 if right else -3.0)
     monkeypatch.setattr(looker, "look", lambda crops, once: [look] * len(crops))
@@ -235,42 +204,23 @@ def test_points_by_place_are_ordered_by_the_look_and_others_stay(
 
 
 def test_keypoints_are_the_looks_and_no_pose_network_is_loaded(tmp_path: Path) -> None:
-    (tmp_path / "weights").mkdir()
-    shipped = load_registry().resolve("cucumber-seg")["network"]
-    segment = Path(shutil.copy(shipped, tmp_path / "weights" / "seg.onnx"))
-    fruit = fruit_network(tmp_path / "weights" / "fruit.onnx")
-    pose = pose_network(tmp_path / "weights" / "pose.onnx")
-    registry = registry_of(tmp_path, segment=segment, fruit=fruit, pose=pose)
+    shipped = load_registry()
+    files = {task: shipped.resolve(f"cucumber-{name}")["network"] for task, name in OWN.items()}
+    pose = pose_network(tmp_path / "pose.onnx")
+    registry = registry_of(tmp_path, **files, pose=pose)
     loader = NetworkLoader(registry, runtime="onnxruntime", input_sizes=(640,))
     detectors = loader.detectors()
-    assert [model["task"] for model in loader.models] == ["segment", "fruit"]
-    color = next(iter(open_source(example_captures()))).load().color
+    assert [model["name"] for model in loader.models] == ["tiny-segment", "tiny-fruit"]
     assert detectors.gives_keypoints
     assert loader.stem_looker() is None  # the look orders its points itself
-    # Without depth the look rescores; this one takes everything for a cucumber.
-    surest = max(fruit.confidence for fruit in detectors.find(color))
-    alone = NetworkLoader(registry, runtime="onnxruntime", input_sizes=(640,))
-    alone_surest = max(f.confidence for f in alone.detectors(looks=False, quick=True).find(color))
-    assert surest > alone_surest
+    capture = next(iter(open_source(example_captures()))).load()
+    found = detectors.find(capture.color, capture.depth_m, capture.intrinsics.fx_px)
+    assert found
+    assert all(instance.keypoints is not None for instance in found)
     given = NetworkLoader(registry, runtime="onnxruntime")
     given.detectors(pose=pose)
     assert "fruit" not in {model["task"] for model in given.models}
     assert given.stem_looker() is not None
 
 
-def test_a_registry_with_such_a_network_gives_it_to_the_packages_detector(tmp_path: Path) -> None:
-    (tmp_path / "weights").mkdir()
-    shipped = load_registry().resolve("cucumber-seg")["network"]
-    segment = Path(shutil.copy(shipped, tmp_path / "weights" / "seg.onnx"))
-    fruit = fruit_network(tmp_path / "weights" / "fruit.onnx")
-    registry = registry_of(tmp_path, segment=segment, fruit=fruit)
-    loader = NetworkLoader(registry, runtime="onnxruntime", input_sizes=(640,))
-    capture = next(iter(open_source(example_captures()))).load()
-    found = loader.detectors().find(capture.color, capture.depth_m, capture.intrinsics.fx_px)
-    assert [model["name"] for model in loader.models] == ["tiny-segment", "tiny-fruit"]
-    assert found
-    for instance in found:
-        assert instance.keypoints is not None
-        assert instance.keypoints[:, 2] == pytest.approx(1 / (1 + np.exp(-4)))
-        # It says the same of a turned crop: the stem is at neither end.
-        assert instance.end_confidence == pytest.approx(0.5)
+OWN = {"segment": "seg", "fruit": "fruit"}

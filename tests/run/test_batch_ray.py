@@ -13,10 +13,8 @@ from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import CucumberVisionError, DiskFullError
 from cucumbervision.methods.result import MethodName
 from cucumbervision.run import whole_run as run
-from cucumbervision.run.batch import Item, Outcome
-from cucumbervision.run.inputs import Listed
+from cucumbervision.run.batch import Item, Listed, Outcome, RayEngine
 from cucumbervision.run.options import MeasureOptions
-from cucumbervision.run.ray_engine import RayEngine
 from cucumbervision.run.whole_run import BatchOptions, FolderWorker, measure_inputs
 
 pytest.importorskip("ray")

@@ -10,7 +10,7 @@ from onnx import TensorProto, helper
 
 from cucumbervision.errors import ModelError
 from cucumbervision.fruit.crops import END_PX, PLANES, EndCrop
-from cucumbervision.networks.looks import EndLooker, looked_at
+from cucumbervision.networks.find import EndLooker, looked_at
 from cucumbervision.networks.registry import load_registry
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from cucumbervision.fruit.instance import Instance
 from cucumbervision.methods.result import LengthKind, Measurement
 from cucumbervision.methods.selector import measure_fruit
 from cucumbervision.methods.table import Region, TableMethod
-from cucumbervision.threads import OneThread
+from cucumbervision.tube.compiled import OneThread
 
 Seen = list[set[int]]
 

@@ -19,7 +19,7 @@ from cucumbervision.errors import CaptureError, DepthError, InstancesError, Intr
 from cucumbervision.fruit.instance import Instance, MaskSource
 from cucumbervision.methods.flags import Flag
 from cucumbervision.methods.result import Fruit, LengthDefinition
-from cucumbervision.run.results import measure
+from cucumbervision.run.batch import measure
 
 CAMERA_1280 = Intrinsics(1280, 720, 924.0, 924.0, 639.5, 359.5)
 

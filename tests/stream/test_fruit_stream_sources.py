@@ -10,7 +10,7 @@ import pytest
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.errors import CameraError
-from cucumbervision.stream.sources import ahead, newest_first, paced
+from cucumbervision.stream.fruit_stream import ahead, newest_first, paced
 
 
 class Camera:

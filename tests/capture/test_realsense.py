@@ -8,6 +8,7 @@ import threading
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -58,6 +59,16 @@ def test_recording_becomes_bursts(recording: Path, scene: Callable[[int], tuple[
     assert first.provenance == {"reader": "recording", "camera": "Software D435", "serial": "0042"}
     # The software device's clock: 33.3 ms a frame, of the third.
     assert first.timestamp_s == pytest.approx(0.0999)
+
+
+def test_an_accelerometer_tells_gravity(recording: Path) -> None:
+    push = SimpleNamespace(x=0.5, y=-9.7, z=1.0)
+    motion = SimpleNamespace(as_motion_frame=lambda: SimpleNamespace(get_motion_data=lambda: push))
+    with RealSenseCamera(CameraConfig(playback=recording, warm_up=1)) as camera:
+        aligned = camera._align.process(camera._pipeline.wait_for_frames())
+        camera._align = SimpleNamespace(process=lambda _: aligned)
+        frame = camera._convert(SimpleNamespace(first_or_default=lambda _: motion))
+    assert frame.gravity == (-0.5, 9.7, -1.0)
 
 
 def test_recording_is_aligned_where_the_hand_says(recording: Path) -> None:

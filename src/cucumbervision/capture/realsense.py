@@ -202,12 +202,15 @@ class AlignedFrame:
         Frame number of the colour stream.
     timestamp_s : float, optional
         Seconds since the epoch; None if the camera's clock starts with the camera.
+    gravity : tuple of float, optional
+        Its direction in camera coordinates, where an accelerometer streams too.
     """
 
     color: Pixels
     depth_m: Array32
     number: int
     timestamp_s: float | None
+    gravity: tuple[float, float, float] | None = None
 
 
 def burst_capture(
@@ -233,6 +236,7 @@ def burst_capture(
         name=name,
         frame=frames[0].number,
         timestamp_s=frames[fused.burst_frame].timestamp_s,
+        gravity=frames[fused.burst_frame].gravity,
         **capture_fields,
     )
 
@@ -522,6 +526,9 @@ class RealSenseCamera:
         aligned = self._align.process(frames)
         color, depth = aligned.get_color_frame(), aligned.get_depth_frame()
         raw = np.asanyarray(depth.get_data())
+        # An accelerometer at rest reads the push against gravity, along the axes of the pictures.
+        accelerometer = frames.first_or_default(self._rs.stream.accel)
+        push = accelerometer and accelerometer.as_motion_frame().get_motion_data()
         # Hardware clocks start with the camera.
         epoch = color.get_frame_timestamp_domain() != self._rs.timestamp_domain.hardware_clock
         return AlignedFrame(
@@ -529,6 +536,7 @@ class RealSenseCamera:
             scale_depth(raw, self._unit_m),
             int(color.get_frame_number()),
             color.get_timestamp() / 1000 if epoch else None,
+            (-push.x, -push.y, -push.z) if push else None,
         )
 
     def _rgb(self, frame: Any) -> Pixels:

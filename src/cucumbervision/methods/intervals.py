@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
+from statistics import NormalDist
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -170,7 +171,7 @@ class IntervalModel:
         [0.196, 0.204]
         """
         (below, above), band = self.spreads(values), self.band(values)
-        added = _normal_quantile(self.level) * more_sd
+        added = NormalDist().inv_cdf(0.5 + self.level / 2) * more_sd
         short = float(np.hypot(band.low_quantile * below, added))
         long = float(np.hypot(band.high_quantile * above, added))
         # The error, log(measured / true) + missing, lies from -short to long.
@@ -195,12 +196,6 @@ def feature_groups(
     """
     places = [str(int(np.searchsorted(limits, values.get(name, 0.0)))) for name, limits in edges]
     return ["-".join(places[:count]) for count in range(len(places), -1, -1)]
-
-
-def _normal_quantile(level: float) -> float:
-    from scipy.special import ndtri
-
-    return float(ndtri(0.5 + level / 2))
 
 
 _MOST_DIAMETERS = 9.0  # of slender fruit: real ones have 5 to 8.3, a piece shows less of the girth

@@ -379,7 +379,8 @@ def _fit(
     if hidden > PART_HIDDEN:
         flags.append(Flag.PART_HIDDEN)
     rough = outline_px * quick_median(distances_m) / view.focal_px / traits.diameter_max_m
-    on_it = _on_surface(view, fitting)
+    surface_m = _ON_SURFACE_SD * view.evidence.points_sd_m + _ON_SURFACE_M
+    on_it = float((np.abs(fitting.points.gap_m) <= surface_m).mean())
     fits_mask = explained >= _GOOD_EXPLAINED and overlap >= _LEAST_OVERLAP
     if not fits_mask or rough > _GOOD_OUTLINE or on_it < _GOOD_ON_SURFACE:
         flags.append(Flag.POOR_FIT)
@@ -419,14 +420,6 @@ def _coverage(view: _View, shape: TubeShape) -> tuple[float, float, float]:
         covered / max(int(inside.sum()), 1),
         common / max(either, 1),
     )
-
-
-def _on_surface(view: _View, fitting: TubeFitting) -> float:
-    # Share of the depth points on the tube, within the error of the sensor.
-    within = (
-        np.abs(fitting.points.gap_m) <= _ON_SURFACE_SD * view.evidence.points_sd_m + _ON_SURFACE_M
-    )
-    return float(within.mean())
 
 
 def _end_on(axis_m: NDArray[np.float64]) -> bool:

@@ -142,13 +142,13 @@ def _side(
         _ground(walked, (x0, top, x1, bottom)),
         *_scales((x0, top, x1, bottom), units),
         *_fruit(fruit, tubes, grades, units, hatches),
-        *_legend(fruit, grades, hatches, (x0, bottom + 75)),
     ]
+    legend, legend_mm = _legend(fruit, grades, hatches, (x0, bottom + 75))
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" class="row" role="group"'
-        f' viewBox="{x0 - 80} {top} {x1 - x0 + 120} {bottom - top + 130}"'
+        f' viewBox="{x0 - 80} {top} {max(x1 - x0 + 120, legend_mm)} {bottom - top + 130}"'
         f' aria-label="{escape(title)}">{_STYLE}<defs>{_PATTERNS}{"".join(hatches.values())}</defs>'
-        f"{''.join(body)}</svg>"
+        f"{''.join(body)}{legend}</svg>"
     )
 
 
@@ -257,21 +257,22 @@ def _legend(
     grades: Mapping[str, Grade],
     hatches: dict[str, str],
     place: tuple[int, int],
-) -> Iterator[str]:
-    """Count the classes under the row, each beside a sample of its colour and form."""
+) -> tuple[str, int]:
+    """Count the classes, each beside a sample of its colour and form; return also the width."""
     forms = {grades[view.key].label: _form(view, grades[view.key], hatches) for view in fruit}
     counts = Counter(grades[view.key].label for view in fruit)
-    x, y = place
+    parts, (x0, y), x = [], place, place[0]
     for label, number in sorted(counts.items()):
         fill, dashes = forms[label]
         words = f"{number} {label_words(label)}"
         line = f'<path class="line" d="M20 17H80" stroke-dasharray="{dashes}"/>' if dashes else ""
-        yield (
+        parts.append(
             f'<g class="legend" transform="translate({x} {y})"><path class="body" {fill} '
             f'd="M17 0H83A17 17 0 0 1 83 34H17A17 17 0 0 1 17 0Z"/>{line}'
             f'<text x="112" y="29">{escape(words)}</text></g>'
         )
         x += 160 + 19 * len(words)
+    return "".join(parts), x - x0 + 80
 
 
 def _form(view: FruitRow, graded: Grade, hatches: dict[str, str]) -> tuple[str, str]:

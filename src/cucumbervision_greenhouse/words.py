@@ -232,16 +232,12 @@ def age_words(days: int) -> str:
 
     Examples
     --------
-    >>> age_words(0), age_words(1), age_words(4), age_words(400)
-    ('of today', 'of yesterday', '4 days old', '1 year old')
+    >>> age_words(0), age_words(1), age_words(4)
+    ('of today', 'of yesterday', '4 days old')
     """
     if days < 2:
         return _("of yesterday") if days == 1 else _("of today")
-    if days < 60:
-        return counted(days, "{n} day old", "{n} days old")
-    if days < 365:
-        return counted(days // 30, "{n} month old", "{n} months old")
-    return counted(days // 365, "{n} year old", "{n} years old")
+    return counted(days, "{n} day old", "{n} days old")
 
 
 def pick_words(pick: Pick) -> str:

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from cucumbervision_greenhouse.forecast.forecast import Counts, Forecast
     from cucumbervision_greenhouse.forecast.picking import Rates
     from cucumbervision_greenhouse.rounds.fruit_table import RoundContent
-    from cucumbervision_greenhouse.store.records import ArtifactRecord, FruitRow, Round
+    from cucumbervision_greenhouse.store.records import ArtifactRecord, FruitRow, Round, StopRecord
     from cucumbervision_greenhouse.store.repository import Store
 
 
@@ -96,6 +96,7 @@ def round_tables(
     called = profile_name or (profile.title if profile else view.profile)
     provenance = _provenance(measured_with.values(), profile, called, len(content.stops))
     hashes = {key: _hashes(used) for key, used in measured_with.items()}
+    shapes = {x.key: x.shape for x in store.detections(round_key, shapes=True)}
     today_s = day_0_s(view, now_s)
     grades = {} if profile is None else grades_today(table, profile, forecast)
     lines: dict[str, Iterable[Any]] = {
@@ -120,10 +121,13 @@ def round_tables(
         walked=date_after(view.walked_s, 0).isoformat(),
         provenance=_about(view, provenance),
         tables={name: ExportTable.of(name, table_lines) for name, table_lines in lines.items()},
-        fruit=tuple((fruit, grades.get(fruit.key)) for fruit in table),
+        fruit=tuple(
+            (fruit.with_(**shapes.get(fruit.key, {})), grades.get(fruit.key)) for fruit in table
+        ),
         crop=profile.title if profile else called,
         bins=_length_bins([100 * x for x in hanging_lengths_m(table)]),
         note="no crop profile was named" if profile is None else "",
+        stops=content.stops,
     )
 
 
@@ -362,6 +366,8 @@ class RoundTables:
         Histogram of the lengths on the plant.
     note : str
         Reason for a missing forecast.
+    stops : tuple of StopRecord
+        The stops of the round.
     """
 
     title: str
@@ -372,6 +378,7 @@ class RoundTables:
     crop: str = ""
     bins: tuple[tuple[int, int, int], ...] = ()
     note: str = ""
+    stops: tuple[StopRecord, ...] = ()
 
     def __getitem__(self, name: str) -> ExportTable:
         """Return a table by its name."""

@@ -17,6 +17,7 @@ from cucumbervision_greenhouse.exports import ExportFormat
 from cucumbervision_greenhouse.forecast.picking import PickKind
 from cucumbervision_greenhouse.language import day_month_words, language, marked, number_words
 from cucumbervision_greenhouse.language import gettext as _
+from cucumbervision_greenhouse.row_drawing import draw_rows
 from cucumbervision_greenhouse.settings import Units
 
 if TYPE_CHECKING:
@@ -229,12 +230,28 @@ def render_sheet(tables: RoundTables, units: Units = _CENTIMETRES) -> str:
         classes=[*dict.fromkeys(str(line["class"]) for line in house)],
         work=tables["work"].rows,
         picks=picks,
+        rows=[*_drawings(tables, units)],
         kinds=[(kind, kinds[kind]) for kind in PickKind if kinds[kind]],
         fruit=[
             (row, "–" if graded is None else texts.grade_words(graded), _remarks(fruit, units))
             for row, (fruit, graded) in zip(tables["fruit"].rows, tables.fruit, strict=True)
         ],
     )
+
+
+_PIECE_M = 4.0  # of a row that is as wide as a page
+
+
+def _drawings(tables: RoundTables, units: Units) -> Iterator[tuple[str, str]]:
+    """Draw the rows in pieces that are as wide as a page."""
+    grades = {fruit.key: graded for fruit, graded in tables.fruit if graded is not None}
+    pieces: dict[float, list[FruitRow]] = {}
+    for fruit, graded in tables.fruit:
+        if graded is not None and fruit.along_m is not None:
+            pieces.setdefault(fruit.along_m // _PIECE_M, []).append(fruit)
+    for piece in sorted(pieces):
+        of_piece = [x for x in tables.stops if (x.position_m or 0.0) // _PIECE_M == piece]
+        yield from draw_rows(pieces[piece], of_piece, grades, units).items()
 
 
 def _remarks(fruit: FruitRow, units: Units) -> str:

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from cucumbervision_greenhouse.settings import Units
     from cucumbervision_greenhouse.store.records import FruitRow, Round
 
-_WEEK, _SEASON = 7, 200  # rounds in the chart
+_SEASON = 200  # rounds in the chart
 _CHANGES = {
     Change.STAYED: marked("Seen on both days"),
     Change.PICKED: marked("Picked"),
@@ -96,33 +96,36 @@ def _metrics(counts: ChangeCounts, before: Round, after: Round) -> None:
         for label, value in metrics.items():
             st.metric(label, value, width="content")
     if counts.gone and counts.new and not counts.stayed:
-        st.warning(
-            _(
-                "No fruit of one day is surely one of the other: 'not seen again' and 'new' may be "
-                "the same fruit."
-            ),
-            icon=":material/link_off:",
+        words = _(
+            "No fruit of one day is surely one of the other: 'not seen again' and 'new' may be the "
+            "same fruit."
         )
-    words = _(
-        "'Not seen again' are fruit that were picked without being ticked off, fell, or were "
-        "missed. 'New' may have been missed before. Growth is the median of the fruit seen on "
-        "both days."
+        st.warning(words, icon=":material/link_off:")
+    words = []
+    if n := counts.not_walked:
+        words.append(
+            counted(
+                n,
+                "{n} fruit hangs where only one of the two rounds went: not compared.",
+                "{n} fruit hang where only one of the two rounds went: not compared.",
+            )
+        )
+    if n := counts.returned:
+        words.append(
+            counted(
+                n,
+                "{n} fruit was ticked off as picked and seen again all the same.",
+                "{n} fruit were ticked off as picked and seen again all the same.",
+            )
+        )
+    words.append(
+        _(
+            "'Not seen again' are fruit that were picked without being ticked off, fell, or were "
+            "missed. 'New' may have been missed before. Growth is the median of the fruit seen on "
+            "both days."
+        )
     )
-    if counts.returned:
-        returned = counted(
-            counts.returned,
-            "{n} fruit was ticked off as picked and seen again all the same.",
-            "{n} fruit were ticked off as picked and seen again all the same.",
-        )
-        words = f"{returned} {words}"
-    if counts.not_walked:
-        apart = counted(
-            counts.not_walked,
-            "{n} fruit hangs where only one of the two rounds went: not compared.",
-            "{n} fruit hang where only one of the two rounds went: not compared.",
-        )
-        words = f"{apart} {words}"
-    st.caption(words)
+    st.caption(" ".join(words))
 
 
 def _offer(comparison: DayComparison, before: Round, after: Round) -> None:
@@ -171,44 +174,45 @@ def _rows(comparison: DayComparison) -> None:
 def _classes(comparison: DayComparison, before: Round, after: Round) -> None:
     """Show the compared fruit by class, on both days."""
     compared = [x for x in comparison.changes if x.change is not Change.NOT_WALKED]
-    first, last = (
-        round_view.class_counts(filter(None, views), resources.profile_of(day)[1])
-        for day, views in (
-            (before, [x.before for x in compared]),
-            (after, [x.after for x in compared]),
-        )
-    )
-    page_elements.table(
-        [
-            {
-                _("Class"): texts.label_words(name),
-                _("Before"): first[name],
-                _("Now"): last[name],
-                _("Change"): f"{last[name] - first[name]:+d}".replace("+0", "0").replace("-", "−"),
-            }
-            for name in sorted({*first, *last})
-        ]
-    )
+    views = [x.before for x in compared], [x.after for x in compared]
+    profiles = (resources.profile_of(day)[1] for day in (before, after))
+    first, last = map(round_view.class_counts, (filter(None, x) for x in views), profiles)
+    lines = [
+        {
+            _("Class"): texts.label_words(name),
+            _("Before"): first[name],
+            _("Now"): last[name],
+            _("Change"): f"{last[name] - first[name]:+d}".replace("+0", "0").replace("-", "−"),
+        }
+        for name in sorted({*first, *last})
+    ]
+    page_elements.table(lines)
 
 
 def _each_fruit(comparison: DayComparison) -> None:
     kinds = [change for change in Change if comparison.of(change)]
-    label = label_options("change", {kind: _(_CHANGES[kind]) for kind in kinds})
     if st.session_state.get("change") not in kinds:
         st.session_state["change"] = kinds[0]
-    kind = st.segmented_control(_("Fruit"), kinds, format_func=label, key="change", required=True)
-    changes = comparison.of(kind or kinds[0])
-    units = resources.settings().units
-    lines = []
-    for fruit in page_elements.first_of(changes, "days_page", round_view.LINES):
-        view = fruit.after or fruit.before
-        if view is not None:
-            picture = round_view.thumbnail_of(view)
-            lines.append({"key": view.key, "picture": picture, "says": _change_words(fruit, units)})
-    words = counted(
+    words = {kind: _(_CHANGES[kind]) for kind in kinds}
+    kind = st.segmented_control(
+        _("Fruit"), kinds, format_func=words.__getitem__, key="change", required=True
+    )
+    changes, units = comparison.of(kind or kinds[0]), resources.settings().units
+    drawn = page_elements.first_of(changes, "days_page", round_view.LINES)
+    views = [(fruit.after or fruit.before, fruit) for fruit in drawn]
+    lines = [
+        {
+            "key": view.key,
+            "picture": round_view.thumbnail_of(view),
+            "says": _change_words(fruit, units),
+        }
+        for view, fruit in views
+        if view is not None
+    ]
+    title = counted(
         len(changes), "{n} fruit: tap one to see its days", "{n} fruit: tap one to see its days"
     )
-    page_elements.fruit_list("days_list", _("Fruit of both days"), lines, words)
+    page_elements.fruit_list("days_list", _("Fruit of both days"), lines, title)
     page_elements.draw_more(changes, "days_page", round_view.LINES)
 
 
@@ -275,21 +279,12 @@ def _trend(round_summary: Round, rounds: list[Round]) -> None:
     section = page_elements.section(title, "bar_chart", "trend")
     if section is None:
         return
-    spans = {_WEEK: _("Last 7 days"), _SEASON: _("Season")}
-    span = section.segmented_control(
-        _("Days"),
-        list(spans),
-        format_func=spans.__getitem__,
-        key="trend_span",
-        default=_WEEK,
-        required=True,
-    )
     last: dict[str, Round] = {}  # of each day, the newest first
     for x in sorted(rounds, key=lambda x: -x.walked_s):
         last.setdefault(date.fromtimestamp(x.walked_s).isoformat(), x)
     lines = [
         {"day": day, "class": label, "fruit": number}
-        for day, x in list(last.items())[: span or _WEEK]
+        for day, x in list(last.items())[:_SEASON]
         for label, number in round_view.class_counts_of(x).items()
     ]
     from cucumbervision_greenhouse.pages import charts

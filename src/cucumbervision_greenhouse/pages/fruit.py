@@ -42,7 +42,8 @@ def show(walk: RoundView, key: str, listed: Sequence[FruitRow]) -> None:
     """Draw a fruit in place of the list; `listed` are the fruit that its filters leave."""
     detail = resources.store().detection(key)
     following = _head(walk, key, listed)
-    picture_side, right = page_elements.halves()
+    with st.container(key="halves"):  # under each other where a tablet is held upright
+        picture_side, right = st.columns([3, 2], gap="medium")
     # Each in its own container, so that elements above do not move the buttons.
     with right.container():
         _figures(walk, detail)
@@ -297,20 +298,11 @@ def _accept_others(detail: DetectionDetail) -> None:
     view = detail.view
 
     def accept() -> None:
-        if unjudged := [
-            view_of_picture.key
-            for view_of_picture in _of_picture(view)
-            if view_of_picture.verdict is None
-        ]:
+        if unjudged := [x.key for x in _of_picture(view) if x.verdict is None]:
             resources.store().set_verdict(unjudged, Verdict.ACCEPTED)
 
-    st.button(
-        _("Accept the rest of this picture"),
-        icon=":material/done_all:",
-        width="stretch",
-        on_click=accept,
-        key=f"rest_{view.key}",
-    )
+    label = _("Accept the rest of this picture")
+    page_elements.button(st, label, "done_all", accept, key=f"rest_{view.key}")
 
 
 def _methods(detail: DetectionDetail) -> None:

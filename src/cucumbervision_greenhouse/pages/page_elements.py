@@ -42,13 +42,6 @@ _NEWS_S = 1.0  # how soon a page shows what another viewer did
 _SHORT_S = 5.0  # the time left is not shown for less
 
 
-def halves() -> tuple[DeltaGenerator, DeltaGenerator]:
-    """Return a wide and a narrow column, under each other where a tablet is held upright."""
-    with st.container(key="halves"):
-        first, right = st.columns([3, 2], gap="medium")
-    return first, right
-
-
 def section(label: str, icon: str, key: str, *, opened: bool = False) -> DeltaGenerator | None:
     """Draw a part of a page that is closed at first; return it where it is open.
 
@@ -224,12 +217,8 @@ def fruit_list(
     component("fruitlist")(key=key, data=data, **tapped)
 
 
-def pictures(
-    views: Sequence[FruitRow],
-    words: Callable[[FruitRow], str],
-    act: Callable[[FruitRow], None] | None = None,
-) -> None:
-    """Draw views side by side, each with words and the elements that `act` draws below."""
+def pictures(views: Sequence[FruitRow], words: Callable[[FruitRow], str]) -> None:
+    """Draw views side by side, each with words below."""
     with st.container(horizontal=True):
         for view in views:
             with st.container(width=_PICTURE_PX):
@@ -240,8 +229,6 @@ def pictures(
                         alt=_("Fruit at {stop}").format(stop=step_words(view.step).lower()),
                     )
                 st.caption(words(view))
-                if act is not None:
-                    act(view)
 
 
 def first_of(items: Sequence[Any], key: str, size: int) -> Sequence[Any]:

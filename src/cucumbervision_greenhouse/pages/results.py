@@ -119,22 +119,18 @@ def _classes(walk: RoundView) -> None:
 
 def _statistics(walk: RoundView) -> None:
     figures, units = round_figures(walk.content, walk.fruit), resources.settings().units
-    metrics: dict[str, tuple[int | str, str | None]] = {
-        _("Fruit"): (
-            figures.fruit,
-            counted(figures.detections, "detected {n} time", "detected {n} times"),
-        ),
-        _("Measured"): (figures.measured, None),
-        _("Mean length"): (
-            units.text(figures.mean_m),
-            f"± {units.text(figures.sd_m)}" if figures.sd_m else None,
-        ),
-        _("Picked"): (figures.picked, None),
-        _("Deleted"): (len(walk.deleted), None),
-    }
+    seen = counted(figures.detections, "detected {n} time", "detected {n} times")
+    spread = f"± {units.text(figures.sd_m)}" if figures.sd_m else None
+    metrics: list[tuple[str, int | str, str | None]] = [
+        (_("Fruit"), figures.fruit, seen),
+        (_("Measured"), figures.measured, None),
+        (_("Mean length"), units.text(figures.mean_m), spread),
+        (_("Picked"), figures.picked, None),
+        (_("Deleted"), len(walk.deleted), None),
+    ]
     how: dict[str, Any] = {"delta_color": "off", "delta_arrow": "off", "width": "content"}
     with st.container(horizontal=True):
-        for label, (value, below) in metrics.items():
+        for label, value, below in metrics:
             st.metric(label, value, below, **how)
 
 

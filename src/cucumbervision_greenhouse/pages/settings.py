@@ -36,7 +36,9 @@ def page() -> None:
         _camera()
     with measuring:
         _measuring()
-        _calibration()
+        st.header(_("Calibration"))
+        calibrations.draw_choice()
+        page_elements.link("accuracy", _("Calibrate on 'Accuracy'"))
     with st.expander(_("Details: networks and method"), icon=":material/list:"):
         _other_calibration()
         _how()
@@ -60,17 +62,12 @@ def _crop() -> None:
 
 def _language() -> None:
     """Draw the choice of the language, which all pages show at once."""
-
-    def words(code: str) -> str:
-        if not code:
-            return _("As the browser")
-        # A reader of that language sees in it that its texts are a draft.
-        draft = {"nl": " (concept)", "es": " (borrador)"}
-        return LANGUAGES[code] + (draft[code] if code in DRAFTS else "")
-
-    page_elements.setting(
-        "language", st.selectbox, _("Language"), ["", *LANGUAGES], format_func=words
-    )
+    # A reader of that language sees in it that its texts are a draft.
+    draft = {"nl": " (concept)", "es": " (borrador)"}
+    names = {"": _("As the browser")}
+    names |= {x: name + draft.get(x, "") * (x in DRAFTS) for x, name in LANGUAGES.items()}
+    choose = {"format_func": names.__getitem__}
+    page_elements.setting("language", st.selectbox, _("Language"), list(names), **choose)
 
 
 def _measuring() -> None:
@@ -99,12 +96,6 @@ def _measuring() -> None:
     page_elements.setting("burst", st.number_input, _("Frames per photo"), 1, 15)
     limit_mb = _("Upload at most [MB]")
     page_elements.setting("upload_limit_mb", st.number_input, limit_mb, 1, 1_000_000, step=100)
-
-
-def _calibration() -> None:
-    st.header(_("Calibration"))
-    calibrations.draw_choice()
-    page_elements.link("accuracy", _("Calibrate on 'Accuracy'"))
 
 
 def _other_calibration() -> None:

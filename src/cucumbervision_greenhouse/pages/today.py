@@ -11,7 +11,7 @@ import streamlit as st
 from cucumbervision_greenhouse import resources, round_view, tasks
 from cucumbervision_greenhouse import words as texts
 from cucumbervision_greenhouse.forecast.picking import PickKind, ready_on, work
-from cucumbervision_greenhouse.language import counted, marked, ngettext, plain
+from cucumbervision_greenhouse.language import counted, marked, plain
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.pages import page_elements
 from cucumbervision_greenhouse.pages.page_elements import button
@@ -47,10 +47,10 @@ def page(walk: RoundView) -> None:
 
 
 def _age(round_summary: Round, today: Today) -> None:
-    walked = texts.round_day(round_summary.walked_s)
     if not round_summary.stops:
         return
-    if today.age_days < 0:
+    days, walked = today.age_days, texts.round_day(round_summary.walked_s)
+    if days < 0:
         st.warning(texts.clock_words(round_summary.walked_s), icon=":material/error:")
         return
     if today.age is Age.USELESS:
@@ -58,26 +58,22 @@ def _age(round_summary: Round, today: Today) -> None:
             "This round is {age} (walked on {when}): it is too old for today. Walk the house again "
             "for today's list."
         )
-        st.warning(
-            words.format(age=texts.age_words(today.age_days), when=walked),
-            icon=":material/history:",
-        )
+        words = words.format(age=texts.age_words(days), when=walked)
+        st.warning(words, icon=":material/history:")
         return
-    words = _ago(today.age_days).format(when=walked)
-    (st.warning if today.age is Age.OLD else st.markdown)(words)
+    words = _("**Measured today** (last stop {when}).")
+    if days:
+        words = _("**Measured yesterday** (last stop {when}).")
+    if days > 1:
+        words = counted(
+            days,
+            "**Measured {n} day ago** (last stop {when}).",
+            "**Measured {n} days ago** (last stop {when}).",
+            when=walked,
+        )
+    (st.warning if today.age is Age.OLD else st.markdown)(words.format(when=walked))
     if is_demonstration(round_summary.key):
         st.info(_("A computer-made example."), icon=":material/draw:")
-
-
-def _ago(days: int) -> str:
-    if days < 2:
-        today = _("**Measured today** (last stop {when}).")
-        return _("**Measured yesterday** (last stop {when}).") if days else today
-    return ngettext(
-        "**Measured {n} day ago** (last stop {when}).",
-        "**Measured {n} days ago** (last stop {when}).",
-        days,
-    ).replace("{n}", str(days))
 
 
 def _next(walk: RoundView, today: Today) -> None:

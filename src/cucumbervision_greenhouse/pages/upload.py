@@ -141,16 +141,13 @@ def _show(upload: Upload) -> None:
     if len(sending.files) > 3:
         names = _("{names} and {n} more").format(names=names, n=len(sending.files) - 3)
     if not upload.done and not uploads.is_whole(sending.key):
-        received = sum(uploads.received(sending.key))
-        st.info(
-            _(
-                "{names}: {received} of {all} MB are here. Choose the same files again to send the "
-                "rest."
-            ).format(
-                names=names, received=f"{received / 1e6:.0f}", all=f"{sending.size / 1e6:.0f}"
-            ),
-            icon=":material/upload:",
+        words = _(
+            "{names}: {received} of {all} MB are here. Choose the same files again to send the "
+            "rest."
         )
+        received_mb, all_mb = sum(uploads.received(sending.key)) / 1e6, sending.size / 1e6
+        words = words.format(names=names, received=f"{received_mb:.0f}", all=f"{all_mb:.0f}")
+        st.info(words, icon=":material/upload:")
         return
     saved = sum(outcome.saved for outcome in upload.outcomes)
     not_saved = len(upload.outcomes) - saved

@@ -17,6 +17,7 @@ from cucumbervision.capture.source import example_captures
 from cucumbervision.methods.result import LengthDefinition
 from cucumbervision_greenhouse import resources, tasks
 from cucumbervision_greenhouse.pages.accuracy import hand_file, write_hand_lengths
+from cucumbervision_greenhouse.settings import Units
 from cucumbervision_greenhouse.store.records import new_key
 from cucumbervision_greenhouse.store.repository import open_store
 
@@ -28,6 +29,8 @@ def test_a_calibration_is_made_used_and_put_back_on_the_page(house: Path) -> Non
         fruit = store.detections(WALK)
     lengths = {view.key: (1.1 * (view.length_m or 0.0), None) for view in fruit}
     write_hand_lengths(hand_file(str(house), WALK), fruit, lengths, LengthDefinition.CENTRELINE)
+    by_hand = f"Measured by hand: {Units('cm').text(lengths[fruit[0].key][0])}"
+    assert by_hand in said(app("results", round=WALK, fruit=fruit[0].key))
     test = app("accuracy", round=WALK)
     assert "too short on average" in said(test)
     tap(test, "Calibrate with these lengths")

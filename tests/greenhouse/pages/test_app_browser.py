@@ -242,22 +242,3 @@ def test_lengths_typed_one_after_the_other_are_all_kept(
         assert one.get_by_label("Again, fruit").first.input_value() == "71.4"
     second.close()
     dashboard.shot("hand")
-
-
-@pytest.mark.parametrize(
-    ("page", "words", "name"),
-    [
-        ("Row map", "true size", "map"),
-        ("Today", "Pick list", "today"),
-        ("Forecast", "if nothing is picked", "forecast"),
-        ("Accuracy", "Measured by hand", "accuracy"),
-        ("Settings", "Networks", "settings"),
-    ],
-)
-def test_every_page_is_drawn(dashboard: Dashboard, page: str, words: str, name: str) -> None:
-    dashboard.go(page)
-    dashboard.page.get_by_text(words).first.wait_for()
-    dashboard.quiet()
-    dashboard.page.wait_for_timeout(500)
-    dashboard.page.get_by_role("link", name="About").wait_for()
-    dashboard.shot(name)

@@ -39,7 +39,7 @@ PAGES = {
     "settings": ("/settings", "Networks"),
     "about": ("/about", "Source code"),
 }
-LEAST_PX = 40
+LEAST_PX = 44
 DARK = "rgb(18, 22, 20)"  # #121614
 BACKGROUND = """(color) =>
   getComputedStyle(document.querySelector('.stApp') || document.body).backgroundColor === color"""

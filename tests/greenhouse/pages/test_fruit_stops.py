@@ -3,30 +3,19 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from streamlit.testing.v1 import AppTest
+from tests.greenhouse.pages.app_pages import WALK, app, said
 
 from cucumbervision_greenhouse.rounds.fruit_table import fruit_table, read_round
 from cucumbervision_greenhouse.settings import Units
-from cucumbervision_greenhouse.store.records import LinkKind, LinkRecord, key_of
+from cucumbervision_greenhouse.store.records import LinkKind, LinkRecord
 from cucumbervision_greenhouse.store.repository import open_store
 from cucumbervision_greenhouse.words import length_words
 
 pytestmark = pytest.mark.usefixtures("fresh_caches")
 
-WALK = key_of("walk")
-
 
 def lines_of(fruit_key: str) -> list[str]:
-    script = (
-        "from cucumbervision_greenhouse.pages.app import keep_inputs\n"
-        "from cucumbervision_greenhouse.pages import results\n"
-        "keep_inputs()\nresults.page()\n"
-    )
-    test = AppTest.from_string(script, default_timeout=600)
-    test.session_state["round"], test.query_params["fruit"] = WALK, fruit_key
-    test.run()
-    assert not test.exception
-    return [str(one.value).replace("\\", "") for one in (*test.caption, *test.markdown)]
+    return said(app("results", round=WALK, fruit=fruit_key)).splitlines()
 
 
 def test_a_fruit_shows_its_views_and_the_length_of_all_together(house: Path) -> None:

@@ -158,23 +158,18 @@ def read_json(
         nested too deeply, or contains numbers with thousands of digits.
     """
     data = read_bytes(path, error, remedy)
-    try:
+    with wrap_reader_errors(path, error, remedy):
         # Decode here, because json accepts lone surrogates in bytes.
         text = data.decode(json.detect_encoding(data))
-        value = json.loads(text)
+        try:
+            value = json.loads(text)
+        except json.JSONDecodeError as wrong:
+            fault = f"is not JSON (line {wrong.lineno}, column {wrong.colno}: {wrong.msg})"
+            raise error(fault, source=path, remedy=remedy) from None
         if "\\ud" in text.lower():
             # Lone surrogates cannot be encoded in files and pages.
             json.dumps(value, ensure_ascii=False).encode()
         return value
-    except json.JSONDecodeError as wrong:
-        fault = f"is not JSON (line {wrong.lineno}, column {wrong.colno}: {wrong.msg})"
-    except UnicodeError:
-        fault = "is not JSON text"
-    except RecursionError:
-        fault = "is nested too deeply"
-    except ValueError:
-        fault = "holds a number of thousands of digits"
-    raise error(fault, source=path, remedy=remedy)
 
 
 def read_text(path: Path, error: type[CucumberVisionError] = CaptureError) -> str:
@@ -343,7 +338,6 @@ def adapter(model: Any) -> TypeAdapter[Any]:
 
 _log = logging.getLogger(__name__)
 
-_SAID_S = 2.0  # shorter waits are not logged
 _WAITS_S = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 32.0)
 _FINAL = (
     *(CucumberVisionError, FileNotFoundError, FileExistsError, PermissionError),
@@ -426,18 +420,18 @@ def with_retries(
     """
     if not is_remote(place):
         return call()
-    for wait_s in (*waits_s, None):
+    waits = iter(waits_s)
+    while True:
         try:
             return call()
         except _FINAL:
             raise
         # Each protocol has its own exception classes.
         except Exception as error:
+            wait_s = next(waits, None)
             if wait_s is None:
                 silence = f"the store does not answer ({type(error).__name__}: {error})"
                 raise OSError(errno.EIO, silence, str(place)) from error
-            if wait_s >= _SAID_S:
-                fault = f"does not answer ({type(error).__name__})"
-                _log.warning("%s: %s; asked again in %g s", place, fault, wait_s)
+            fault = f"does not answer ({type(error).__name__})"
+            _log.warning("%s: %s; asked again in %g s", place, fault, wait_s)
             time.sleep(wait_s)
-    raise AssertionError  # unreachable: the last wait is None

@@ -82,9 +82,8 @@ def test_a_bucket_that_is_not_there_is_said_at_once(bucket: str, tmp_path: Path)
 
 
 def test_a_store_that_is_gone_for_a_while_is_asked_again(
-    bucket: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    bucket: str, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr("cucumbervision.files._SAID_S", 0.0)
     answers: Iterator[Exception | bytes] = iter(
         [ConnectionError("gone"), RuntimeError("gone"), b"back"]
     )

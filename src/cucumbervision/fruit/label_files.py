@@ -306,11 +306,9 @@ class InstanceFile:
             if len(matches) == 1:
                 return matches[0]
             if matches:
-                raise InstancesError(
-                    f"names {' or '.join(sorted(keys))} {len(matches)} times",
-                    source=self.source,
-                    remedy="give the pictures different names",
-                )
+                fault = f"names {' or '.join(sorted(keys))} {len(matches)} times"
+                remedy = "give the pictures different names"
+                raise InstancesError(fault, source=self.source, remedy=remedy)
         # A frame number is not a name: if the file has names, its ids mean something else.
         if frame is None or any(p.name for p in self.pictures):
             return None
@@ -555,10 +553,9 @@ def parse_yolo_line(
     if len(values) < 5 or values[0] < 0 or values[0] % 1:
         raise ValueError("is neither box nor polygon")
     number, shares, confidence = int(values[0]), values[1:], 1.0
-    if kpt_shape and kpt_shape[0] and len(shares) != 4 + kpt_shape[0] * kpt_shape[1]:
-        wanted = 5 + kpt_shape[0] * kpt_shape[1]
-        fault = f"has {len(values)} values, expected {wanted} (box, {kpt_shape[0]} keypoints)"
-        raise ValueError(fault)
+    count, numbers = kpt_shape or (0, 0)
+    if count and len(values) != (wanted := 5 + count * numbers):
+        raise ValueError(f"has {len(values)} values, expected {wanted} (box, {count} keypoints)")
     per_point = kpt_shape[1] if kpt_shape else _numbers_a_point(shares)
     if (len(shares) - 4) % (per_point or 2):
         shares, confidence = shares[:-1], float(shares[-1])
@@ -571,18 +568,14 @@ def parse_yolo_line(
             keypoints = _keypoints(np.column_stack([points[:, :2], seen]).ravel(), visible)
     if (shares < -_SLACK).any() or (shares > 1 + _SLACK).any():
         raise ValueError("has numbers outside 0 to 1, which must be shares of width and height")
-    box: Array | None = None
-    polygons: tuple[Array, ...] = ()
-    if per_point or len(shares) == 4:
-        box = np.concatenate([shares[:2] - shares[2:4] / 2, shares[:2] + shares[2:4] / 2])
-    else:
-        polygons = (polygon_points(shares),)
+    is_box = per_point or len(shares) == 4
+    half = shares[2:4] / 2
     return LabelledInstance(
         where=where,
         class_name=names[number].strip() if number < len(names) else str(number),
         confidence=confidence,
-        box=box,
-        polygons=polygons,
+        box=np.concatenate([shares[:2] - half, shares[:2] + half]) if is_box else None,
+        polygons=() if is_box else (polygon_points(shares),),
         keypoints=keypoints,
         normalised=True,
         entry={"kpt_shape": (len(points), 2)} if per_point == 2 else {},

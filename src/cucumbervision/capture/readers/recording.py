@@ -52,11 +52,9 @@ def open_recording(path: Path, options: ReadOptions) -> CaptureSource:
     camera_file = read_camera_file(options.intrinsics) if options.intrinsics else None
     stated = options.with_camera(camera_file)
     if stated.depth_along is DepthAlong.RAY or stated.aligned_to is Stream.DEPTH:
-        raise CaptureError(
-            "a recording's depth is along the axis and is aligned to colour here",
-            source=path,
-            remedy="leave out --depth-along and --aligned-to",
-        )
+        fault = "a recording's depth is along the axis and is aligned to colour here"
+        remedy = "leave out --depth-along and --aligned-to"
+        raise CaptureError(fault, source=path, remedy=remedy)
     import_realsense()
     with RealSenseCamera(CameraConfig(playback=path, warm_up=0)) as stream:
         frame_intrinsics, device = stream.intrinsics, stream.device

@@ -176,8 +176,8 @@ class FolderCamera:
                 if capture is None:
                     continue
                 changes: dict[str, Any] = {"stop": stop} if stop is not None else {}
-                given = {other for at, other in self._taken.items() if at != ref.name}
-                capture_name = unique_name(name or capture.name, given)
+                taken = {key for file, key in self._taken.items() if file != ref.name}
+                capture_name = unique_name(name or capture.name, taken)
                 self._taken[ref.name] = capture_name.casefold()
                 return replace(capture, name=capture_name, **changes)
             if self._clock() > until_s:

@@ -554,8 +554,8 @@ def parse_yolo_line(
         raise ValueError("is neither box nor polygon")
     number, shares, confidence = int(values[0]), values[1:], 1.0
     count, numbers = kpt_shape or (0, 0)
-    if count and len(values) != (wanted := 5 + count * numbers):
-        raise ValueError(f"has {len(values)} values, expected {wanted} (box, {count} keypoints)")
+    if count and len(values) != (expected := 5 + count * numbers):
+        raise ValueError(f"has {len(values)} values, expected {expected} (box, {count} keypoints)")
     per_point = kpt_shape[1] if kpt_shape else _numbers_a_point(shares)
     if (len(shares) - 4) % (per_point or 2):
         shares, confidence = shares[:-1], float(shares[-1])

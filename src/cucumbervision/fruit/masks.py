@@ -312,14 +312,14 @@ def disjoint_masks(
     >>> [mask.astype(int).tolist() for mask in disjoint_masks([left_half, whole_fruit], [0.5, 0.9])]
     [[[1, 1, 1, 0, 0, 0]], [[0, 0, 0, 1, 1, 1]]]
     """
-    given = {k: mask for k, mask in enumerate(masks) if mask is not None}
-    windows = {k: window for k, mask in given.items() if (window := mask_window(mask))}
+    present = {k: mask for k, mask in enumerate(masks) if mask is not None}
+    windows = {k: window for k, mask in present.items() if (window := mask_window(mask))}
     parted = list(masks)
     for i, j in ((i, j) for j in windows for i in windows if i < j):
-        both, pair = overlap(windows[i], windows[j]), (parted[i], parted[j])
+        shared, pair = overlap(windows[i], windows[j]), (parted[i], parted[j])
         a, b = (np.asarray(mask) for mask in pair)
         # Compare the masks as given: earlier assignments may have changed both.
-        if (a[both] & b[both]).any() and mask_iou(given[i], given[j]) < _ONE_IOU:
+        if (a[shared] & b[shared]).any() and mask_iou(present[i], present[j]) < _ONE_IOU:
             loser = _loser((a, b), (scores[i], scores[j]), depth_m)
             parted[(i, j)[loser]] = (a & ~b, b & ~a)[loser]
     return parted

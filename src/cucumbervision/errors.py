@@ -403,7 +403,7 @@ _FILE_REMEDIES = {
 # Messages of libraries and the dynamic loader that mean MemoryError.
 _NO_MEMORY = re.compile(
     "cannot allocate memory|insufficient memory|failed to map segment|can't start new thread|"
-    "bad.?alloc",
+    "bad.?alloc|bfc_arena|failed to allocate",
     re.IGNORECASE,
 )
 

@@ -194,6 +194,20 @@ def read(path: Path, text: str) -> Any:
     return read_camera_file(path)
 
 
+@pytest.mark.parametrize(
+    ("key", "scale", "unit_m"),
+    [("K", 1000, 0.001), ("K", 0.00025, 0.00025), ("K", 5000.0, 0.0002), ("cam_K", 0.1, 0.0001)],
+)
+def test_a_depth_scale_beside_a_matrix_is_metres_a_step_or_steps_a_metre(
+    key: str, scale: float, unit_m: float, tmp_path: Path
+) -> None:
+    text = json.dumps({**SIZE, key: ROWS, "depth_scale": scale})
+    assert read(tmp_path / "c.json", text).depth_unit_m == pytest.approx(unit_m)
+    for other in (1.0, -1, 0):
+        with pytest.raises(IntrinsicsError, match=f"has a depth_scale of {other:g}, neither"):
+            read(tmp_path / "c.json", json.dumps({**SIZE, "K": ROWS, "depth_scale": other}))
+
+
 @pytest.mark.parametrize("name", TEXTS)
 def test_each_is_the_same_camera(name: str, tmp_path: Path) -> None:
     found = read(tmp_path / name, TEXTS[name])

@@ -368,6 +368,12 @@ def test_two_labels_of_a_fruit_are_one_and_a_word(
     down, up = [1, 1, 3, 1, 11, 7, 11, 9, 9, 9, 1, 3], [9, 1, 11, 1, 11, 3, 3, 9, 1, 9, 1, 7]
     path = coco(tmp_path / "c.json", {"segmentation": [down]}, {"segmentation": [up]})
     assert len(get(path).instances) == 2
+    assert "too" not in caplog.text
+    # Halves of a fruit that share their ends are measured, with a word.
+    left, right = [2, 1, 10, 1, 10, 7, 4, 7, 2, 5], [6, 1, 14, 1, 14, 5, 12, 7, 6, 7]
+    path = coco(tmp_path / "c.json", {"segmentation": [left]}, {"segmentation": [right]})
+    assert len(get(path).instances) == 2
+    assert "annotation 1 labels part of annotation 0 too" in caplog.text
     # A part of a fruit before the whole of it is no fruit.
     part, whole = [4, 2, 6, 2, 8, 2, 8, 6, 4, 6], [2, 1, 6, 1, 14, 1, 14, 7, 2, 7]
     path = coco(tmp_path / "c.json", {"segmentation": [part]}, {"segmentation": [whole]})

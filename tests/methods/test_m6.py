@@ -211,14 +211,6 @@ def test_holes_and_flying_pixels_do_little(camera: Intrinsics) -> None:
     assert fit.fill < 0.85
 
 
-def test_specks_beside_the_mask_are_left_out(camera: Intrinsics) -> None:
-    tube = arc_tube(0.22, 0.02).moved(rotation(), (0, 0, 0.55))
-    depth, mask = seen(tube, camera)
-    mask[60:66, 100:106] = True
-    lengths, _ = fitted(measure_m6(depth, mask, camera))
-    assert lengths.centreline_m == pytest.approx(0.22, rel=0.01)
-
-
 def test_lens_distortion_counts(camera: Intrinsics) -> None:
     from cucumbervision.capture.intrinsics import Distortion
 

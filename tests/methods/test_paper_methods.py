@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -253,13 +251,6 @@ def test_without_depth_or_landmarks_it_says_so(
     assert measure_m4(empty, None, None, camera).reason is Reason.NO_KEYPOINTS
 
 
-def test_landmarks_outside_the_picture_have_no_depth(
-    flat: NDArray[np.float32], arc: NDArray[np.float64], camera: Intrinsics
-) -> None:
-    arc[0, :2] = (-40.0, 900.0)
-    assert measure_m4(flat, None, arc, camera).reason is Reason.ENDPOINT_MISSING
-
-
 def line_cloud(length_m: float, points: int = 2000) -> NDArray[np.float64]:
     x = np.linspace(-length_m / 2, length_m / 2, points)
     return np.stack([x, 0 * x, 0 * x + 0.5], axis=1)
@@ -280,29 +271,6 @@ def test_a_thin_arc_has_its_arc_length(bend_radius_m: float) -> None:
         [bend_radius_m * np.sin(angle), bend_radius_m * np.cos(angle), 0 * angle + 0.5], axis=1
     )
     assert measure_m5(arc).length_m == pytest.approx(0.2, rel=0.004)
-
-
-def test_a_thin_helix_has_its_arc_length(
-    helix: Callable[[float, float, float], NDArray[np.float64]],
-) -> None:
-    cloud = helix(0.03, 0.2, 1.0) + np.array([0, 0, 0.5])
-    by_hand = np.hypot(2 * np.pi * 0.03, 0.2)
-    # Each of 25 bins averages 14 degrees of the turn, which shortens its radius by 0.3 %.
-    assert measure_m5(cloud).length_m == pytest.approx(by_hand, rel=0.01)
-
-
-def test_a_bent_fruit_reads_more_than_its_chord(camera: Intrinsics) -> None:
-    tube = arc_tube(0.25, 0.015, 0.15).moved(rotation(), (0, 0, 0.55))
-    scene = render(Scene.of(tube), camera)
-    result = measure_m5(masked_points(scene.depth_m.astype(np.float32), scene.mask(0), camera))
-    assert tube.chord_m < 0.225
-    assert result.length_m == pytest.approx(0.25, rel=0.05)
-
-
-def test_a_gap_is_bridged() -> None:
-    cloud = line_cloud(0.2)
-    gap = cloud[np.abs(cloud[:, 0] - 0.02) > 0.025]
-    assert measure_m5(gap).length_m == pytest.approx(measure_m5(cloud).length_m, rel=1e-3)
 
 
 @pytest.mark.parametrize(

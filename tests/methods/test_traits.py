@@ -126,13 +126,6 @@ def test_a_column_that_is_taken_is_said(name: str, capture: Capture) -> None:
     assert 7.0 not in measurer.measure(capture).rows()[0].values()
 
 
-def test_two_traits_of_one_name_are_not_mixed(capture: Capture) -> None:
-    traits = tuple(TableTrait("x", "", "says", giving(value)) for value in (7.0, 8.0))
-    measurer = Measurer(OPTIONS, plug_ins=PlugIns(traits=traits))
-    assert len(measurer.plugged.faults) == 1
-    assert measurer.measure(capture).rows()[0]["x"] == 7.0
-
-
 def test_capitals_in_a_column_are_refused() -> None:
     trait = TableTrait("Length_CM", "", "says", giving(7.0))
     (fault,) = Measurer(OPTIONS, plug_ins=PlugIns(traits=(trait,))).plugged.faults

@@ -17,7 +17,7 @@ from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Distortion
 from cucumbervision.errors import CalibrationError, wrap_os_errors
 from cucumbervision.files import parse_model, read_json, replacing
-from cucumbervision.methods.flags import DOUBTFUL_END, LOWER_BOUND, NO_DEPTH, Flag
+from cucumbervision.methods.flags import LOWER_BOUND, NO_DEPTH, Flag
 from cucumbervision.methods.result import (
     Fruit,
     IntervalBasis,
@@ -303,7 +303,8 @@ def calibrated_capture(capture: Capture, site: SiteCalibration) -> Capture:
     return replace(capture, depth_m=depth_m, intrinsics=intrinsics)
 
 
-_UNLIKE = frozenset({*LOWER_BOUND, *NO_DEPTH, *DOUBTFUL_END.values()})
+_ENDS = frozenset({Flag.UPPER_END, Flag.LOWER_END, Flag.LEFT_END, Flag.RIGHT_END})
+_UNLIKE = LOWER_BOUND | NO_DEPTH | _ENDS
 """Flags of fruit unlike those from which a calibration's interval was learnt."""
 
 

@@ -164,7 +164,7 @@ _PRINTED = re.compile(
     r"\[\s*(\d+)x(\d+)\s+p\[(\S+) (\S+)\]\s+f\[(\S+) (\S+)\]\s+([A-Za-z ]+?)\s*"
     r"\[([^\]]*)\]\s*\]"
 )
-_COARSEST_M = 0.01  # a larger 'depth_scale' is not in metres
+_COARSEST_M = 0.01  # of the steps of depth
 _COLOR = re.compile(r"colou?r|rgb", re.IGNORECASE)
 _NOT_COLOR = re.compile(r"depth|infra|(^|[^a-z])ir([^a-z]|$)", re.IGNORECASE)
 
@@ -210,9 +210,12 @@ def read_camera_file(path: Path) -> CameraFile:
     if program or frozenset(data) == _BOP_KEYS:
         raise _other_program(program or "BOP", path)
     with wrap_reader_errors(path, IntrinsicsError):
-        data = {_KEYS.get(key, key): value for key, value in _color_block(data).items()}
+        data, step, is_bop = _color_block(data), data.get("depth_scale"), "cam_K" in data
+        unit = {} if step is None else {"depth_unit_m": _unit_m(float(step), path, is_bop=is_bop)}
+        data = {_KEYS.get(key, key): value for key, value in data.items() if key != "depth_scale"}
         if "matrix" in data and ("stream" not in data or "D" in data):
             data = _of_ros(data, path)
+        data |= unit
     is_sized = {"width", "height"} <= data.keys()
     if "matrix" in data:
         with as_errors_of(path):
@@ -250,9 +253,19 @@ def _color_block(data: dict[str, Any]) -> dict[str, Any]:
     colors = [key for key in blocks if _COLOR.search(key) and not _NOT_COLOR.search(key)]
     if len(colors) != 1 or "stream" in data:
         return data
-    step = data.get("depth_scale")
-    unit = {"depth_unit_m": step} if isinstance(step, float) and 0 < step <= _COARSEST_M else {}
-    return {**data[colors[0]], "stream": "color", **unit}
+    return {**data[colors[0]], "stream": "color"}
+
+
+def _unit_m(scale: float, path: Path, *, is_bop: bool) -> float:
+    """Return the unit of a 'depth_scale': metres a step, steps a metre, or BOP's millimetres."""
+    if 0 < scale <= _COARSEST_M:
+        return scale
+    if scale >= 1 / _COARSEST_M:
+        return 1 / scale
+    if is_bop and scale > 0:
+        return 0.001 * scale
+    fault = f"has a depth_scale of {scale:g}, neither metres a step nor steps a metre"
+    raise IntrinsicsError(fault, source=path, remedy="write depth_unit_m, the metres of a step")
 
 
 def _read(path: Path) -> Any:

@@ -252,11 +252,13 @@ class InstanceFile:
                 entries.append((record.where, *entry))
         single = []
         for number, (where, instance, is_clipped) in enumerate(entries):
-            if (other := _label_of_same(number, entries)) is None:
+            other, is_same = _label_of_same(number, entries)
+            if not is_same:
                 single.append((instance, is_clipped))
-            else:
-                words = "%s: %s: %s labels the fruit of %s again, and is left out"
-                _log.warning(words, self.source, picture.name, where, other)
+            if other:
+                words = "the fruit of %s again, and is left out" if is_same else "part of %s too"
+                place = self.source, picture.name, where, other
+                _log.warning(f"%s: %s: %s labels {words}; label each fruit once", *place)
         instances, clipped = zip(*single, strict=True) if single else ((), ())
         return FileInstances(instances, clipped, tuple(refused))
 
@@ -350,12 +352,12 @@ def read_instances(path: Path | str) -> InstanceFile:
 
 
 # Intersection over union of boxes; share of a mask in a larger one.
-_SAME_FRUIT, _INSIDE = 0.85, 0.8
+_SAME_FRUIT, _INSIDE, _IN_PART = 0.85, 0.8, 0.3
 
 
-def _label_of_same(number: int, entries: Sequence[tuple[str, Instance, bool]]) -> str | None:
-    """Return the place of a larger or earlier label of the same fruit; None without one."""
-    instance = entries[number][1]
+def _label_of_same(number: int, entries: Sequence[tuple[str, Instance, bool]]) -> tuple[str, bool]:
+    """Return the place of a larger or earlier label of the same fruit, and whether of all of it."""
+    instance, in_part = entries[number][1], ""
     for k, (where, other, _) in enumerate(entries):
         iou = box_iou(instance.box, other.box)
         if k == number or iou == 0 or instance.class_name != other.class_name:
@@ -365,9 +367,11 @@ def _label_of_same(number: int, entries: Sequence[tuple[str, Instance, bool]]) -
             own, others = np.count_nonzero(instance.mask), np.count_nonzero(other.mask)
             shared = np.count_nonzero(instance.mask & other.mask)
             is_same = bool(shared >= _INSIDE * own and (others, number) > (own, k))
+            if k < number and shared >= _IN_PART * min(own, others):
+                in_part = where
         if is_same:
-            return where
-    return None
+            return where, True
+    return in_part, False
 
 
 def read_labels(path: Path) -> list[LabelledImage]:

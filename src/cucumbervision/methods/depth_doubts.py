@@ -39,7 +39,7 @@ _MIDDLE_FROM, _FLANK_RANGE = 0.75, (0.15, 0.5)
 # differences within a fruit whose depth is one value and noise at most
 _HOLLOW_RADII, _FLAT_RADII = 0.08, 0.04
 # Stereo depth of thin fruit between leaves is hollow, too, but their surroundings are not nearer.
-_SURROUNDING_RADII = (0.3, 1.0)  # beyond the outline
+_SURROUNDING_RADII = (-1.0, -0.3)
 _CLEAR_SHARE, _NOISE_SD = 0.85, 4.0  # of the readings there; standard errors of both medians
 # Size of a piece, relative to the mask, and of a part on one side of a waist. A line that joins
 # pieces is no part of them.
@@ -50,7 +50,7 @@ _WAIST_SHARE = 0.72  # of the largest radius: a narrower place between wider par
 _GAP_BEHIND, _NOTCH_BEHIND, _GAP_SHARE, _GAP_RADII, _GAP_READINGS = 1.2, 2.0, 0.8, 0.2, 6
 # In radii: the ring that defines the plane; the minimum height of a fruit above it (real ones 1.4
 # to 2.5 above a table); the roughness of planes (0.3 for printed paper, at least 0.4 for leaves).
-_PLANE_RING_RADII, _LEAST_HEIGHT_RADII, _ROUGHNESS_RADII, _PLANE_STEPS = (0.15, 1.2), 0.5, 0.3, 4
+_PLANE_RING_RADII, _LEAST_HEIGHT_RADII, _ROUGHNESS_RADII, _PLANE_STEPS = (-1.2, -0.15), 0.5, 0.3, 4
 # Edge in depth: how far behind what is nearest skin lies at most; how far from the outline it is
 # looked for; spread along a side of a sharp edge, of what lies along the sides in so many parts;
 # distance from the outline, least and relative to the length, at which the interval is wrong.
@@ -159,15 +159,19 @@ class _Body:
         self.scale = float(np.hypot(*self.turn[:, 0]))
         # The outline is nearer than the first pixel of the strip beyond it.
         nearer_px = np.float32(0.5 - 0.5 / self.scale)
-        self.inside_px = distances_inside(self.mask) - nearer_px
-        self.outside_px = distances_inside(~self.mask) - nearer_px
-        self.radius_px = float(self.inside_px.max())
+        inside_px, outside_px = (distances_inside(m) - nearer_px for m in (self.mask, ~self.mask))
+        self.radius_px = float(inside_px.max())
+        self.depth_radii = np.where(self.mask, inside_px, -outside_px) / self.radius_px
         self.radius_m = self.radius_px * self.scale * self.distance_m / focal_px
         columns = np.flatnonzero(self.mask.any(axis=0))
         self.ends = (int(columns[0]), int(columns[-1])) if len(columns) else (0, 0)
         self.line = self.near_line(self.depth_m, self.read)
         start_m, slope = self.line or (np.nan, 0.0)
         self.off_m = self.depth_m - start_m - slope * np.arange(size[0])
+
+    def between(self, least: float, most: float = np.inf) -> Mask:
+        """Return what is read from so many radii inside the outline; negative outside it."""
+        return self.read & (self.depth_radii >= least) & (self.depth_radii <= most)
 
     def sections(self, count: int) -> list[slice]:
         """Return equal ranges of columns along the mask."""
@@ -180,7 +184,7 @@ class _Body:
         A fruit that points at the camera is farther away at one end by more than its radius. None
         with too few readings.
         """
-        near = read & (self.outside_px <= self.radius_px)
+        near = read & (self.depth_radii >= -1)
         if np.count_nonzero(near) < MIN_READINGS:
             return None
         lines = [
@@ -237,9 +241,8 @@ def _warped(picture: NDArray[Any], turn: Places, size: tuple[int, int]) -> NDArr
 
 def _is_hollow(body: _Body) -> bool:
     """Return whether a mask's middle lies behind its flanks, and its surroundings are nearer."""
-    share = body.inside_px / body.radius_px
-    middle = body.depth_m[body.read & (share >= _MIDDLE_FROM)]
-    flank = body.depth_m[body.read & (share >= _FLANK_RANGE[0]) & (share <= _FLANK_RANGE[1])]
+    middle = body.depth_m[body.between(_MIDDLE_FROM)]
+    flank = body.depth_m[body.between(*_FLANK_RANGE)]
     if min(middle.size, flank.size) < MIN_READINGS:
         return False
     depth_behind_m = float(quick_median(middle) - quick_median(flank))
@@ -247,10 +250,7 @@ def _is_hollow(body: _Body) -> bool:
     error_m = np.hypot(*(1.2533 * _robust_sd(a) / np.sqrt(a.size) for a in (middle, flank)))
     if depth_behind_m <= max(_HOLLOW_RADII * body.radius_m, _NOISE_SD * error_m):
         return False
-    outside = body.outside_px / body.radius_px
-    around = body.depth_m[
-        body.read & (outside > _SURROUNDING_RADII[0]) & (outside < _SURROUNDING_RADII[1])
-    ]
+    around = body.depth_m[body.between(*_SURROUNDING_RADII)]
     nearer = around < body.distance_m
     return around.size >= MIN_READINGS and float(nearer.mean()) >= _CLEAR_SHARE
 
@@ -260,10 +260,10 @@ def _has_gap(body: _Body) -> bool:
 
     Parts are connected components, or the wide parts beside a waist (two fruit end to end).
     """
-    pieces = _parts(body.inside_px > _LINE_RADII * body.radius_px, _LEAST_PIECE)
+    pieces = _parts(body.depth_radii > _LINE_RADII, _LEAST_PIECE)
     if any(_is_open(body, *_nearest(piece, rest)) for piece, rest in pieces):
         return True
-    worn = _parts(body.inside_px >= _WAIST_SHARE * body.radius_px, _LEAST_PART)
+    worn = _parts(body.depth_radii >= _WAIST_SHARE, _LEAST_PART)
     return any(_is_notched(body, *_nearest(part, rest)) for part, rest in worn)
 
 
@@ -341,9 +341,7 @@ def _is_notched(body: _Body, first: Places, last: Places) -> bool:
 
 def _lies_in_plane(body: _Body) -> bool:
     """Return whether a mask lies in the plane around it."""
-    outside = body.outside_px / body.radius_px
-    around = body.read & (outside > _PLANE_RING_RADII[0]) & (outside < _PLANE_RING_RADII[1])
-    middle = body.read & (body.inside_px > 0.5 * body.radius_px)
+    around, middle = body.between(*_PLANE_RING_RADII), body.between(0.5)
     if min(np.count_nonzero(around), np.count_nonzero(middle)) < MIN_READINGS:
         return False
     v, u = np.nonzero(around)
@@ -405,9 +403,7 @@ def _outline_offset_px(depth_m: Depth, mask: Mask, body: _Body) -> float:
 
 def _has_one_depth(body: _Body) -> bool:
     """Return whether a fruit's depth is one value with noise, without slope or curvature."""
-    share = body.inside_px / body.radius_px
-    rim = body.read & (share >= _FLANK_RANGE[0]) & (share <= _FLANK_RANGE[1])
-    middle = body.read & (share > _FLANK_RANGE[1])
+    rim, middle = body.between(*_FLANK_RANGE), body.between(_FLANK_RANGE[1])
     depths = [body.depth_m[:, part][middle[:, part]] for part in body.sections(_PARTS)]
     # Means: medians have the steps of the readings.
     means_m = [depth_m.mean() for depth_m in depths if len(depth_m) >= MIN_READINGS // 2]
@@ -426,7 +422,7 @@ def _has_stem(body: _Body) -> bool:
     if not len(wide):
         return False
     # A leaf that hides most of the width is nearer than the fruit.
-    beside = (body.outside_px > 1.0) & (body.outside_px < body.radius_px) & body.read
+    beside = body.between(-1, -1 / body.radius_px)
     clear, half = body.off_m > body.radius_m, round(body.radius_px / 2)
     for narrow, shoulder in (
         (slice(first, wide[0]), min(wide[0] + half, last)),
@@ -445,29 +441,27 @@ def _goes_on(body: _Body, end: int, color: NDArray[np.uint8] | None) -> bool:
     """Return whether a surface as wide and of the same colour goes on beyond an end of a mask."""
     radius, tip = body.radius_px, body.ends[0] if end < 0 else body.ends[1]
     rows, columns = np.nonzero(body.mask)
-    forward = end * (columns - tip)  # up to 0
-    tail = forward > -4 * radius
-    if np.ptp(forward[tail]) < radius:
+    inward = end * (tip - columns)
+    tail = inward < 4 * radius
+    if np.ptp(inward[tail]) < radius:
         return False
-    slope, middle = np.polyfit(forward[tail], rows[tail], 1)
-    core = tail & (np.abs(rows - middle - slope * forward) < 0.3 * radius)
+    slope, middle = np.polyfit(inward[tail], rows[tail], 1)
+    core = tail & (np.abs(rows - middle - slope * inward) < 0.3 * radius)
     if not core.any():
         return False
-    edge = forward[core].max()
-    core &= (forward > edge - 2 * radius) & (forward < edge - 0.3 * radius)
-    v, u, forward = rows[core], columns[core], forward[core]
+    edge = inward[core].min()
+    core &= (inward > edge + 0.3 * radius) & (inward < edge + 2 * radius)
+    v, u = rows[core], columns[core]
     read = body.read[v, u]
     if np.count_nonzero(read) < MIN_READINGS:
         return False
-    rise, start_m = np.polyfit(forward[read], body.depth_m[v, u][read], 1)
+    rise, start_m = np.polyfit(inward[core][read], body.depth_m[v, u][read], 1)
     # Beyond the blur of the camera's edges
     nearest, farthest = np.maximum(_BEYOND_RADII * radius, _BLUR_PX / body.scale)
-    beyond = np.linspace(nearest, farthest, 5)
-    steps, sides = (
-        g.ravel() for g in np.meshgrid(edge + beyond, np.linspace(-0.5, 0.5, 5) * radius)
-    )
-    y, x = body.pixels(np.stack([tip + end * steps, middle + slope * steps + sides], axis=1))
-    off_m = np.abs(body.depth_m[y, x] - start_m - rise * steps)
+    steps, sides = np.meshgrid(np.linspace(nearest, farthest, 5) - edge, np.linspace(-0.5, 0.5, 5))
+    places = np.stack([tip + end * steps, middle - slope * steps + sides * radius], axis=-1)
+    y, x = body.pixels(places.reshape(-1, 2))
+    off_m = np.abs(body.depth_m[y, x] - start_m + rise * steps.ravel())
     same = body.read[y, x] & ~body.mask[y, x] & (off_m < _SURFACE_RADII * body.radius_m)
     if color is not None and same.mean() >= _BEYOND_SHARE:
         strip = _warped(color, body.turn, body.mask.shape[::-1]).astype(np.int16)

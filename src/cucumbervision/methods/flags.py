@@ -56,15 +56,6 @@ class Flag(StrEnum):
     DOUBTFUL = "doubtful"
 
 
-DOUBTFUL_END = {
-    "upper": Flag.UPPER_END,
-    "lower": Flag.LOWER_END,
-    "left": Flag.LEFT_END,
-    "right": Flag.RIGHT_END,
-}
-"""Flags of an end that may go on out of sight, by where it is in the picture."""
-
-
 class Effect(StrEnum):
     """Effect of a flag on the length."""
 

@@ -371,22 +371,18 @@ def _fit(
     outline_px = 1.4826 * quick_median(np.abs(rays.gap_m) / distances_m) * view.focal_px
     depth_m = 1.4826 * quick_median(np.abs(fitting.points.gap_m))
     first, last = (s and not b.covered for s, b in zip(fitting.ends_seen, ends, strict=True))
-    flags = []
-    if not (first and last):
-        flags.append(Flag.END_HIDDEN)
-    if _end_on(traits.axis_m) or traits.may_hide_an_end:
-        flags.append(Flag.END_ON)
-    if hidden > PART_HIDDEN:
-        flags.append(Flag.PART_HIDDEN)
     rough = outline_px * quick_median(distances_m) / view.focal_px / traits.diameter_max_m
     surface_m = _ON_SURFACE_SD * view.evidence.points_sd_m + _ON_SURFACE_M
     on_it = float((np.abs(fitting.points.gap_m) <= surface_m).mean())
     fits_mask = explained >= _GOOD_EXPLAINED and overlap >= _LEAST_OVERLAP
-    if not fits_mask or rough > _GOOD_OUTLINE or on_it < _GOOD_ON_SURFACE:
-        flags.append(Flag.POOR_FIT)
     sd = fitting.centreline_sd_m
-    if sd > _UNCERTAIN * traits.lengths.centreline_m:
-        flags.append(Flag.UNCERTAIN)
+    doubts = {
+        Flag.END_HIDDEN: not (first and last),
+        Flag.END_ON: _end_on(traits.axis_m) or traits.may_hide_an_end,
+        Flag.PART_HIDDEN: hidden > PART_HIDDEN,
+        Flag.POOR_FIT: not fits_mask or rough > _GOOD_OUTLINE or on_it < _GOOD_ON_SURFACE,
+        Flag.UNCERTAIN: sd > _UNCERTAIN * traits.lengths.centreline_m,
+    }
     return TubeFit(
         traits=traits,
         centreline_sd_m=sd,
@@ -399,7 +395,7 @@ def _fit(
         ends_seen=(first, last),
         ends_covariance=fitting.ends_covariance,
         ends_open=(ends[0].behind, ends[1].behind),
-        flags=tuple(flags),
+        flags=tuple(flag for flag, holds in doubts.items() if holds),
     )
 
 

@@ -174,15 +174,11 @@ def window_depths(
     return medians.astype(np.float64).reshape(u_px.shape)
 
 
-def _measure_m1(region: Region) -> Measurement:
-    return measure_m1(region.depth_m, region.box, region.intrinsics)
-
-
 M1 = TableMethod(
     name="M1",
     title="scan line",
     kind=LengthKind.BOX_CHORD,
-    measure=_measure_m1,
+    measure=lambda region: measure_m1(region.depth_m, region.box, region.intrinsics),
     needs=("box",),
     rank=50,
     rank_compact=70,
@@ -290,23 +286,23 @@ def measure_m3(mask_points_m: Numbers, cloud: AlignedCloud | None = None) -> Mea
     return _principal_chord(cloud or align_near(mask_points_m, GATE_M), MethodName.M3)
 
 
-def _measure_m2(region: Region) -> Measurement:
-    return measure_m2(region.box_points_m)
-
-
 def m3_or_m2(region: Region) -> Measurement:
     """Measure a fruit by M3, or by M2 in its name below 50 valid pixels."""
     if region.mask_points_m is None:
         return Measurement(MethodName.M3, reason=Reason.NO_MASK)
     result = measure_m3(region.mask_points_m, region.mask_near)
-    return result if result.is_direct else or_else(result, MethodName.M2, _measure_m2(region))
+    return (
+        result
+        if result.is_direct
+        else or_else(result, MethodName.M2, measure_m2(region.box_points_m))
+    )
 
 
 M2 = TableMethod(
     name="M2",
     title="box PCA",
     kind=LengthKind.SURFACE_CHORD,
-    measure=_measure_m2,
+    measure=lambda region: measure_m2(region.box_points_m),
     needs=("box",),
     rank=60,
     is_paper=True,

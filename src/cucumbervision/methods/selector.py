@@ -14,7 +14,7 @@ from cucumbervision.fruit.crops import EndCrop, EndLook, end_crop
 from cucumbervision.fruit.instance import LEAST_END_CONFIDENCE, MaskSource
 from cucumbervision.fruit.masks import mask_pixels, mask_window
 from cucumbervision.methods.depth_doubts import depth_doubts
-from cucumbervision.methods.flags import DOUBTFUL_END, Flag
+from cucumbervision.methods.flags import Flag
 from cucumbervision.methods.intervals import mask_features, with_interval
 from cucumbervision.methods.paper_methods import MIN_VISIBILITY, SPLINE_POINTS
 from cucumbervision.methods.pose import CUT_BEYOND_M, fruit_pose, stem_first
@@ -505,5 +505,5 @@ def end_flag(outward_px: Array) -> Flag:
     """
     across, down = outward_px.tolist()
     if abs(down) >= abs(across):
-        return DOUBTFUL_END["lower" if down > 0 else "upper"]
-    return DOUBTFUL_END["right" if across > 0 else "left"]
+        return Flag.LOWER_END if down > 0 else Flag.UPPER_END
+    return Flag.RIGHT_END if across > 0 else Flag.LEFT_END

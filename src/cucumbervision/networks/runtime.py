@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from cucumbervision.errors import MissingExtraError, ModelError
+from cucumbervision.errors import MissingExtraError, ModelError, OutOfMemoryError, named_error
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -141,6 +141,8 @@ class Network:
             outputs = self.compute(arrays)
         # The two runtimes raise their own classes and plain RuntimeError alike.
         except Exception as error:
+            if isinstance(named := named_error(error, self.source), OutOfMemoryError):
+                raise named from error
             sizes = ", ".join(f"{name} {array.shape}" for name, array in arrays.items())
             raise ModelError(
                 f"the network fails on {sizes}: {_first_line(error)}",
@@ -347,7 +349,7 @@ def _import_openvino() -> Any:
     modules["openvino_telemetry"] = None
     try:
         import openvino
-    except ImportError as error:
+    except ModuleNotFoundError as error:
         raise MissingExtraError("openvino", "openvino") from error
     finally:
         del modules["openvino_telemetry"]

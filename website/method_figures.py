@@ -25,7 +25,7 @@ from PIL import Image
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
 from cucumbervision.fruit.masks import box_of_mask
-from cucumbervision.methods.m6 import TubeView, view_tube
+from cucumbervision.methods.m6 import TubeView
 from cucumbervision.methods.paper_methods import (
     M1_WINDOW_PX,
     reference_depth,
@@ -197,9 +197,7 @@ def _pixels(region: Region, points_m: NDArray[np.float64]) -> NDArray[np.float64
 
 
 def _tube_view(region: Region) -> TubeView:
-    view = (
-        None if region.mask is None else view_tube(region.depth_m, region.mask, region.intrinsics)
-    )
+    view = None if region.mask is None else TubeView(region.depth_m, region.mask, region.intrinsics)
     assert view is not None
     return view
 

@@ -196,7 +196,7 @@ def read(path: Path, text: str) -> Any:
 
 @pytest.mark.parametrize(
     ("key", "scale", "unit_m"),
-    [("K", 1000, 0.001), ("K", 0.00025, 0.00025), ("K", 5000.0, 0.0002), ("cam_K", 0.1, 0.0001)],
+    [("K", 1000, 0.001), ("K", 0.00025, 0.00025), ("K", 5000.0, 0.0002), ("cam_K", 1e-4, 1e-4)],
 )
 def test_a_depth_scale_beside_a_matrix_is_metres_a_step_or_steps_a_metre(
     key: str, scale: float, unit_m: float, tmp_path: Path

@@ -227,6 +227,22 @@ def test_an_outline_that_jumps_ends_early_or_is_loose_is_told() -> None:
     assert not is_lower_bound([Flag.END_HIDDEN, Flag.OUTLINE_STEM])
 
 
+@pytest.mark.parametrize(("share", "side_px"), [(0.15, 3), (0.3, 5)])
+def test_depth_whose_holes_were_averaged_in_is_flagged(share: float, side_px: int) -> None:
+    capture = capsule_capture(lying(0.16, distance_m=0.5))
+    is_hole = np.random.default_rng(3).random(capture.depth_m.shape) < share
+    averaged_m = cv2.blur(np.where(is_hole, 0, capture.depth_m), (side_px, side_px))
+    assert Flag.DEPTH_UNALIGNED in doubts(with_depth(capture, averaged_m))
+
+
+def test_a_speck_far_off_an_outline_is_no_part_of_it() -> None:
+    capture = capsule_capture(lying(0.16))
+    mask = capture.masks[0].copy()
+    rows, columns = np.nonzero(mask)
+    mask[int(rows.mean()) : int(rows.mean()) + 3, columns.max() + 80] = True
+    assert doubts(capture, mask) == ()
+
+
 def is_elsewhere(capture: Capture) -> bool:
     return Flag.DEPTH_UNALIGNED in doubts(capture)
 

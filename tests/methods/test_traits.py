@@ -12,7 +12,6 @@ import pytest
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
-from cucumbervision.errors import PluginError
 from cucumbervision.fruit.instance import Instance
 from cucumbervision.methods.flags import Flag
 from cucumbervision.methods.result import MethodName
@@ -155,17 +154,6 @@ def test_a_fruit_that_is_none_is_left_out_and_the_others_stay(
     assert words in result.failures[0].message
 
 
-@pytest.mark.parametrize(
-    "changes", [{"box": "here"}, {"confidence": None}, {"confidence": np.ones(2)}]
-)
-def test_an_instance_of_no_numbers_names_its_detector(
-    changes: dict[str, Any], capture: Capture
-) -> None:
-    broken = replace(Instance.of_mask(capture.masks[0]), **changes)
-    with pytest.raises(PluginError, match="another_package"):
-        detected(capture, giving([broken]))
-
-
 def test_a_detector_may_draw_every_mask_into_one_array(capture: Capture) -> None:
     buffer = np.zeros_like(capture.masks[0])
 
@@ -201,11 +189,3 @@ def test_a_segmenter_without_a_mask_is_a_flag(changes: dict[str, Any], capture: 
     result = detected(capture, giving(boxes), Drawing(**changes))
     assert [fruit.mask for fruit in result.fruit] == [None, None]
     assert all(Flag.SAM_MASK_EMPTY in fruit.flags for fruit in result.fruit)
-
-
-def test_probabilities_are_no_mask(capture: Capture) -> None:
-    boxes = [replace(Instance.of_mask(mask), mask=None) for mask in capture.masks]
-    probabilities = np.linspace(0.1, 0.9, 480 * 848).reshape(480, 848)
-    result = detected(capture, giving(boxes), Drawing(mask=probabilities))
-    assert [fruit.mask for fruit in result.fruit] == [None, None]
-    assert "not one" in result.failures[0].message

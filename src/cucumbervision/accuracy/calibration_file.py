@@ -303,8 +303,7 @@ def calibrated_capture(capture: Capture, site: SiteCalibration) -> Capture:
     return replace(capture, depth_m=depth_m, intrinsics=intrinsics)
 
 
-_ENDS = frozenset({Flag.UPPER_END, Flag.LOWER_END, Flag.LEFT_END, Flag.RIGHT_END})
-_UNLIKE = LOWER_BOUND | NO_DEPTH | _ENDS
+_UNLIKE = LOWER_BOUND | NO_DEPTH | {Flag.UPPER_END, Flag.LOWER_END, Flag.LEFT_END, Flag.RIGHT_END}
 """Flags of fruit unlike those from which a calibration's interval was learnt."""
 
 

@@ -210,8 +210,8 @@ def read_camera_file(path: Path) -> CameraFile:
     if program or frozenset(data) == _BOP_KEYS:
         raise _other_program(program or "BOP", path)
     with wrap_reader_errors(path, IntrinsicsError):
-        data, step, is_bop = _color_block(data), data.get("depth_scale"), "cam_K" in data
-        unit = {} if step is None else {"depth_unit_m": _unit_m(float(step), path, is_bop=is_bop)}
+        data, step = _color_block(data), data.get("depth_scale")
+        unit = {} if step is None else {"depth_unit_m": _unit_m(float(step), path)}
         data = {_KEYS.get(key, key): value for key, value in data.items() if key != "depth_scale"}
         if "matrix" in data and ("stream" not in data or "D" in data):
             data = _of_ros(data, path)
@@ -256,14 +256,12 @@ def _color_block(data: dict[str, Any]) -> dict[str, Any]:
     return {**data[colors[0]], "stream": "color"}
 
 
-def _unit_m(scale: float, path: Path, *, is_bop: bool) -> float:
-    """Return the unit of a 'depth_scale': metres a step, steps a metre, or BOP's millimetres."""
+def _unit_m(scale: float, path: Path) -> float:
+    """Return the unit of a 'depth_scale', in metres a step or steps a metre."""
     if 0 < scale <= _COARSEST_M:
         return scale
     if scale >= 1 / _COARSEST_M:
         return 1 / scale
-    if is_bop and scale > 0:
-        return 0.001 * scale
     fault = f"has a depth_scale of {scale:g}, neither metres a step nor steps a metre"
     raise IntrinsicsError(fault, source=path, remedy="write depth_unit_m, the metres of a step")
 

@@ -136,9 +136,6 @@ def without_specks(part: Mask, share: float = _SPECK) -> Mask:
     """
     import cv2
 
-    outlines = cv2.findContours(part.view(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
-    if len(outlines) < 2:  # in a tenth of the time of labelling
-        return part
     count, labels, stats, _ = cv2.connectedComponentsWithStats(part.view(np.uint8), connectivity=8)
     if count <= 2:
         return part

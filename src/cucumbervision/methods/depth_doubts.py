@@ -5,6 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Literal
 
+import cv2
 import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
@@ -51,6 +52,9 @@ _GAP_BEHIND, _NOTCH_BEHIND, _GAP_SHARE, _GAP_RADII, _GAP_READINGS = 1.2, 2.0, 0.
 # In radii: the ring that defines the plane; the minimum height of a fruit above it (real ones 1.4
 # to 2.5 above a table); the roughness of planes (0.3 for printed paper, at least 0.4 for leaves).
 _PLANE_RING_RADII, _LEAST_HEIGHT_RADII, _ROUGHNESS_RADII, _PLANE_STEPS = (-1.2, -0.15), 0.5, 0.3, 4
+# Readings in the outline that lie so many radii behind the surface around them, and their share in
+# three quarters of the sections: that of a rim of 2 px, within limits; distance from the plane.
+_BEHIND_RADII, _IN_PLANE_RADII, _BESIDE_PX, _BESIDE_SHARES = 4.0, 0.3, 2.1, (0.07, 0.25)
 # Edge in depth: how far behind what is nearest skin lies at most; how far from the outline it is
 # looked for; spread along a side of a sharp edge, of what lies along the sides in so many parts;
 # distance from the outline, least and relative to the length, at which the interval is wrong.
@@ -121,7 +125,10 @@ def depth_doubts(
     is_loose = abs(offset_px) > max(_LOOSE_PX, _LOOSE_SHARE * body.scale * np.ptp(body.ends))
     is_short = is_loose and offset_px > 0
     is_elsewhere = not is_short and (
-        is_loose or _lies_in_plane(body) or _fits_better_elsewhere(depth_m, body)
+        is_loose
+        or _lies_in_plane(body)
+        or _lies_behind(body)
+        or _fits_better_elsewhere(depth_m, body)
     )
     is_coarse = has_coarse_steps(depth_m, body.readings_m, may_be_one=not is_sparse)
     is_coarse |= not is_elsewhere and _has_one_depth(body)
@@ -178,6 +185,17 @@ class _Body:
         bounds = np.linspace(self.ends[0], self.ends[1] + 1, count + 1).astype(int)
         return [slice(a, b) for a, b in pairwise(bounds)]
 
+    def has_all_along(self, wrong: Mask) -> bool:
+        """Return whether a share of the mask, nearly all along, is wrong."""
+        read = self.mask & self.read
+        wrong = wrong & read
+        shares = [
+            int(wrong[:, part].sum()) / max(int(read[:, part].sum()), 1)
+            for part in self.sections(_PARTS)
+        ]
+        limit = np.clip(_BESIDE_PX / (self.radius_px * self.scale), *_BESIDE_SHARES)
+        return bool(np.quantile(shares, 0.25) >= limit)
+
     def near_line(self, depth_m: Depth, read: Mask) -> tuple[float, float] | None:
         """Return the depth of what is nearest along the fruit: at column 0, and its slope.
 
@@ -233,8 +251,6 @@ def _strip(mask: Mask) -> tuple[Places, tuple[int, int]]:
 
 def _warped(picture: NDArray[Any], turn: Places, size: tuple[int, int]) -> NDArray[Any]:
     """Return a strip of a picture by the nearest pixels, 0 beyond the picture."""
-    import cv2
-
     nearest = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
     return np.asarray(cv2.warpAffine(picture, turn, size, flags=nearest))
 
@@ -269,8 +285,6 @@ def _has_gap(body: _Body) -> bool:
 
 def _parts(core: Mask, least: float) -> list[tuple[Mask, Mask]]:
     """Return each large part of a mask but the largest, and all others."""
-    import cv2
-
     count, labels, stats, _ = cv2.connectedComponentsWithStats(core.astype(np.uint8))
     areas = stats[1:count, cv2.CC_STAT_AREA]
     large = [1 + part for part in areas.argsort() if areas[part] > least * areas.sum()]
@@ -320,8 +334,6 @@ def _is_notched(body: _Body, first: Places, last: Places) -> bool:
 
     A leaf or tendril notches one side.
     """
-    import cv2
-
     v, u = np.nonzero(body.mask)
     near = np.hypot(u - (first[0] + last[0]) / 2, v - (first[1] + last[1]) / 2)
     beside = np.stack([u, v], axis=1)[near < 2.0 * body.radius_px].astype(np.int32)
@@ -340,7 +352,7 @@ def _is_notched(body: _Body, first: Places, last: Places) -> bool:
 
 
 def _lies_in_plane(body: _Body) -> bool:
-    """Return whether a mask lies in the plane around it."""
+    """Return whether a mask lies in the plane around it, wholly or along its rim."""
     around, middle = body.between(*_PLANE_RING_RADII), body.between(0.5)
     if min(np.count_nonzero(around), np.count_nonzero(middle)) < MIN_READINGS:
         return False
@@ -357,11 +369,24 @@ def _lies_in_plane(body: _Body) -> bool:
     ahead_m = np.abs(body.depth_m - plane[0] * u - plane[1] * v - plane[2])
     if max(around_sd_m, _robust_sd(ahead_m[middle])) >= _ROUGHNESS_RADII * body.radius_m:
         return False
-    return bool(quick_median(ahead_m[middle]) < _LEAST_HEIGHT_RADII * body.radius_m)
+    is_flat = quick_median(ahead_m[middle]) < _LEAST_HEIGHT_RADII * body.radius_m
+    return bool(is_flat) or body.has_all_along(ahead_m < _IN_PLANE_RADII * body.radius_m)
 
 
 def _robust_sd(values: NDArray[np.floating[Any]]) -> float:
     return 1.4826 * float(quick_median(np.abs(values - quick_median(values))))
+
+
+def _lies_behind(body: _Body) -> bool:
+    """Return whether a mask lies partly on what is far behind, nearly all along the fruit."""
+    if body.line is None:
+        return False
+    read = body.mask & body.read
+    # A fruit that points at the camera is farther away at one end.
+    surface_m = cv2.medianBlur(np.where(read, body.off_m, 1e3).astype(np.float32), 3)
+    side_px = 2 * round(body.radius_px) + 1
+    near_m = np.asarray(cv2.erode(surface_m, np.ones((side_px, side_px), np.uint8)))
+    return body.has_all_along(body.off_m > near_m + _BEHIND_RADII * body.radius_m)
 
 
 def _outline_offset_px(depth_m: Depth, mask: Mask, body: _Body) -> float:
@@ -378,21 +403,21 @@ def _outline_offset_px(depth_m: Depth, mask: Mask, body: _Body) -> float:
     strip_m = _warped(depth_m, turn, (width, height))
     behind_m = strip_m - body.line[0] - body.line[1] / body.scale * np.arange(width)
     skin = valid_depth(strip_m) & (behind_m < _SKIN_RADII * body.radius_m)
-    other = valid_depth(strip_m) & ~skin
+    background = valid_depth(strip_m) & ~skin
     columns = np.flatnonzero(outline.any(axis=0))
     columns = columns[len(columns) // 6 : -len(columns) // 6]
     steps = np.arange(max(_EDGE_PX, round(_EDGE_RADII * body.radius_px * body.scale)))[:, None]
     sides = []
     for step in (1, -1):
         first = outline[::step, columns].argmax(axis=0)
-        beyond = np.maximum(first - 1 - steps, 0), columns
-        within = np.minimum(first + steps, height - 1), columns
-        on, off = skin[::step][beyond], other[::step]
-        gap_px = on.sum(axis=0) - off[within].sum(axis=0)
+        outer = np.maximum(first - 1 - steps, 0), columns
+        inner = np.minimum(first + steps, height - 1), columns
+        skin_px, gap = skin[::step][outer], background[::step]
+        offset_px = skin_px.sum(axis=0) - gap[inner].sum(axis=0)
         # Beyond its edge there is something else.
-        known = ~on[3 * len(steps) // 4 :].any(axis=0) & off[beyond].any(axis=0)
-        parts = zip(np.array_split(gap_px, _PARTS), np.array_split(known, _PARTS), strict=True)
-        means = [part[is_known].mean() for part, is_known in parts if is_known.sum() > 0]
+        ends = ~skin_px[3 * len(steps) // 4 :].any(axis=0) & gap[outer].any(axis=0)
+        parts = zip(np.array_split(offset_px, _PARTS), np.array_split(ends, _PARTS), strict=True)
+        means = [part[has_end].mean() for part, has_end in parts if has_end.any()]
         if len(means) <= _PARTS // 2:
             return 0.0
         low, median, high = np.quantile(means, [0.25, 0.5, 0.75])
@@ -516,8 +541,6 @@ def _layers(depth_m: Depth, body: _Body) -> Depth | None:
     because the distance at the mask may be that of another object. What lies a radius in front of
     that is no part of it, and counts as not read. None without a line.
     """
-    import cv2
-
     is_own = depth_m is body.depth_m
     read = body.read if is_own else valid_depth(depth_m)
     line = body.line if is_own else body.near_line(depth_m, read)
@@ -545,8 +568,6 @@ def _scores(layers: Depth, shifts: int) -> Depth:
     The score is the mean inside the mask minus the mean around it, where near readings count +1 and
     far ones -1; it is 2 for a free-standing fruit.
     """
-    import cv2
-
     values, is_read, *weights = layers
     means = []
     for weight in weights:

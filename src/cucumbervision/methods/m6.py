@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
+import cv2
 import numpy as np
 
 from cucumbervision.capture.frames import valid_depth
@@ -75,7 +76,7 @@ _CRACKS_A_PIXEL = 4 / np.pi  # cracks per pixel of outline, averaged over direct
 _NEARER_M, _NEARER_SD = 0.003, 2.0  # depth step across the outline that indicates an occluder
 
 
-class _View:
+class TubeView:
     """The depth and outline of one fruit, for fitting a tube.
 
     `evidence` holds depth points away from the outline, and rays through the fruit's own outline,
@@ -87,7 +88,7 @@ class _View:
     def __init__(
         self, depth_m: NDArray[np.float32], mask: NDArray[np.bool_], intrinsics: Intrinsics
     ) -> None:
-        window = mask_window(mask, _MARGIN_PX) or ...
+        window = mask_window(mask, _MARGIN_PX) or (slice(0, 0), slice(0, 0))
         self._mask, depth_m = without_specks(mask[window]), depth_m[window]
         self._depth_m = np.where(valid_depth(depth_m), depth_m, np.float32(0))
         self._intrinsics, self._corner = intrinsics, (window[1].start, window[0].start)
@@ -106,8 +107,6 @@ class _View:
         return np.stack([x / lengths, y / lengths, 1 / lengths], axis=1)
 
     def _evidence(self) -> Evidence:
-        import cv2
-
         kernel = np.ones((2 * _RIM_PX + 1, 2 * _RIM_PX + 1), np.uint8)
         # The edge of the picture is not an outline: pixels there are not eroded.
         core = cv2.erode(self._mask.astype(np.uint8), kernel, borderValue=1) > 0
@@ -229,7 +228,7 @@ def measure_m6(
     """
     if not mask.any():
         return Measurement(MethodName.M6, reason=Reason.TOO_FEW_POINTS)
-    view = _View(depth_m, mask, intrinsics)
+    view = TubeView(depth_m, mask, intrinsics)
     fitting = _fitting(view)
     if isinstance(fitting, Reason):
         return Measurement(MethodName.M6, reason=fitting)
@@ -276,7 +275,7 @@ def fits_well(measured: Measurement) -> bool:
     )
 
 
-def _fitting(view: _View) -> TubeFitting | Reason:
+def _fitting(view: TubeView) -> TubeFitting | Reason:
     """Return the best-fitting tube of a view, or the reason why there is none."""
     if len(view.evidence.points_m) < _MIN_POINTS:
         return Reason.TOO_FEW_POINTS
@@ -292,7 +291,7 @@ def _fitting(view: _View) -> TubeFitting | Reason:
     return Reason.ALONG_THE_VIEW if _runs_away(fitting) else fitting
 
 
-def _best_fit(view: _View) -> TubeFitting:
+def _best_fit(view: TubeView) -> TubeFitting:
     surface, evidence = view.surface_m, view.evidence
     level = near_depths(surface)
     fits = [fit_shape(evidence, guess_shape(surface, level))]
@@ -321,7 +320,7 @@ def _best_fit(view: _View) -> TubeFitting:
     return _better(view, fits) if len(fits) > 1 else first
 
 
-def _better(view: _View, fits: list[TubeFitting]) -> TubeFitting:
+def _better(view: TubeView, fits: list[TubeFitting]) -> TubeFitting:
     # Clearly better coverage of the mask decides, then the misfit. Of two equal fits, the flatter
     # one is taken, as fruit hang; if most depth is missing, the one of more even thickness.
     overlap = [_coverage(view, fit.shape)[2] for fit in fits]
@@ -354,7 +353,7 @@ def _depth_share(fit: TubeFitting) -> float:
     return abs(float(run @ middle)) / float(np.linalg.norm(run) * np.linalg.norm(middle))
 
 
-def _flat_guess(view: _View, *, by_girth: bool = False) -> TubeShape:
+def _flat_guess(view: TubeView, *, by_girth: bool = False) -> TubeShape:
     # The middle line of the outline, with the depth of a plane through most readings.
     rays = view.grid_rays[view.grid_mask]
     picture, depth = rays[:, :2] / rays[:, 2:], view.grid_depth_m[view.grid_mask]
@@ -363,7 +362,7 @@ def _flat_guess(view: _View, *, by_girth: bool = False) -> TubeShape:
 
 
 def _fit(
-    view: _View, fitting: TubeFitting, traits: TubeTraits, ends: tuple[BeyondEnd, BeyondEnd]
+    view: TubeView, fitting: TubeFitting, traits: TubeTraits, ends: tuple[BeyondEnd, BeyondEnd]
 ) -> TubeFit:
     explained, hidden, overlap = _coverage(view, fitting.shape)
     rays = fitting.rays
@@ -400,7 +399,7 @@ def _fit(
 
 
 @lru_cache(maxsize=8)
-def _coverage(view: _View, shape: TubeShape) -> tuple[float, float, float]:
+def _coverage(view: TubeView, shape: TubeShape) -> tuple[float, float, float]:
     # Intersect the rays of the window with the tube, and compare with the picture. The last value
     # is the overlap of tube and mask where no nearer object hides the tube.
     met = gaps(shape, view.grid_rays, rays=True)

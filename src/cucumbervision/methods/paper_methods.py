@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
     from cucumbervision.arrays import Array, Array32, Mask, Numbers
     from cucumbervision.capture.intrinsics import Intrinsics
 
+
+_paper_method = partial(TableMethod, is_paper=True)
 
 _LINES = (0.25, 0.5, 0.75)
 _SAMPLES = 13
@@ -174,7 +177,7 @@ def window_depths(
     return medians.astype(np.float64).reshape(u_px.shape)
 
 
-M1 = TableMethod(
+M1 = _paper_method(
     name="M1",
     title="scan line",
     kind=LengthKind.BOX_CHORD,
@@ -182,7 +185,6 @@ M1 = TableMethod(
     needs=("box",),
     rank=50,
     rank_compact=70,
-    is_paper=True,
     color="#56B4E9",
 )
 
@@ -298,18 +300,17 @@ def m3_or_m2(region: Region) -> Measurement:
     )
 
 
-M2 = TableMethod(
+M2 = _paper_method(
     name="M2",
     title="box PCA",
     kind=LengthKind.SURFACE_CHORD,
     measure=lambda region: measure_m2(region.box_points_m),
     needs=("box",),
     rank=60,
-    is_paper=True,
     color="#CC79A7",
 )
 
-M3 = TableMethod(
+M3 = _paper_method(
     name="M3",
     title="mask PCA",
     kind=LengthKind.SURFACE_CHORD,
@@ -317,7 +318,6 @@ M3 = TableMethod(
     needs=("mask",),
     rank=40,
     least_points=0,
-    is_paper=True,
     stands_in=True,
     color="#E69F00",
 )
@@ -395,7 +395,7 @@ def _measure_m4(region: Region) -> Measurement:
     return result
 
 
-M4 = TableMethod(
+M4 = _paper_method(
     name="M4",
     title="keypoints",
     kind=LengthKind.KEYPOINT_POLYLINE,
@@ -403,7 +403,6 @@ M4 = TableMethod(
     needs=("keypoints",),
     rank=30,
     least_points=100,
-    is_paper=True,
     color="#F0E442",
 )
 
@@ -471,7 +470,7 @@ def _measure_m5(region: Region) -> Measurement:
     return measure_m5(region.mask_points_m, region.mask_near)
 
 
-M5 = TableMethod(
+M5 = _paper_method(
     name="M5",
     title="medial arc spline",
     kind=LengthKind.SURFACE_ARC,
@@ -479,6 +478,5 @@ M5 = TableMethod(
     needs=("mask",),
     rank=20,
     least_points=SPLINE_POINTS,
-    is_paper=True,
     color="#0072B2",
 )

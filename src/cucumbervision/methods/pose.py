@@ -80,18 +80,11 @@ def stem_first(
         return measurement, 0.5
     ends = path[[0, -1]]
     odds = _keypoint_odds(ends, instance, capture) + _gravity_odds(ends, capture)
-    sure = _sure(odds)
+    sure = float(1 / (1 + np.exp(-abs(odds))))
     if odds > 0 or (odds == 0 and ends[0, 1] <= ends[1, 1]):
         return measurement, sure
     fit = measurement.fit
     return replace(measurement, path_m=path[::-1], fit=fit and _turned(fit)), sure
-
-
-def _sure(log_odds: float) -> float:
-    """Return the probability of the likelier of two answers."""
-    from scipy.special import expit
-
-    return float(expit(abs(log_odds)))
 
 
 def _keypoint_odds(ends_m: Array, instance: Instance, capture: Capture) -> float:

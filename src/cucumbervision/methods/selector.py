@@ -198,16 +198,6 @@ def _order(
     return [method for _, _, method in sorted(ranked, key=lambda line: line[:2])]
 
 
-def _measured(
-    region: Region, method_of: Mapping[str, str | Method], tube: Measurement | None
-) -> dict[str, Measurement]:
-    """Run the methods, without M6 where its measurement is at hand."""
-    if tube is None or tube.method not in method_of:
-        return run_methods(region, method_of.values())
-    to_run = [method for name, method in method_of.items() if name != tube.method]
-    return run_methods(region, to_run) | {tube.method: tube}
-
-
 @OneThread()
 def measure_fruit(
     capture: Capture,
@@ -268,7 +258,10 @@ def measure_fruit(
     mask, source, flags = _mask_to_measure(instance, selector)
     region = Region(capture.depth_m, capture.intrinsics, instance.box, mask, instance.keypoints)
     method_of = {method if isinstance(method, str) else method.name: method for method in methods}
-    measured = _measured(region, method_of, tube)
+    to_run = [m for name, m in method_of.items() if tube is None or name != tube.method]
+    measured = run_methods(region, to_run)
+    if tube is not None and tube.method in method_of:
+        measured[tube.method] = tube
     turned = {name: stem_first(reading, instance, capture) for name, reading in measured.items()}
     measurements = {name: measurement for name, (measurement, _) in turned.items()}
     points = None if region.mask_points_m is None else len(region.mask_points_m)
@@ -363,16 +356,14 @@ def _lengths(measurement: Measurement) -> list[Length]:
         return [
             Length(measurement.tube.of(definition), definition) for definition in LengthDefinition
         ]
-    raw = _length(measurement, LengthDefinition.CENTRELINE)
-    return [] if raw is None else [raw]
+    if measurement.length_m is None or measurement.kind is None:
+        return []
+    return [Length(measurement.length_m, measurement.kind)]
 
 
 def _length(chosen: Measurement, definition: LengthDefinition) -> Length | None:
-    if chosen.tube is not None:
-        return Length(chosen.tube.of(definition), definition)
-    if chosen.length_m is None or chosen.kind is None:
-        return None
-    return Length(chosen.length_m, chosen.kind)
+    lengths = {length.kind: length for length in _lengths(chosen)}
+    return lengths.get(definition, next(iter(lengths.values()), None))
 
 
 def _mask_to_measure(

@@ -141,8 +141,8 @@ class Network:
             outputs = self.compute(arrays)
         # The two runtimes raise their own classes and plain RuntimeError alike.
         except Exception as error:
-            if isinstance(named := named_error(error, self.source), OutOfMemoryError):
-                raise named from error
+            if isinstance(fault := named_error(error, self.source), OutOfMemoryError):
+                raise fault from error
             sizes = ", ".join(f"{name} {array.shape}" for name, array in arrays.items())
             raise ModelError(
                 f"the network fails on {sizes}: {_first_line(error)}",

@@ -16,7 +16,7 @@ from cucumbervision.networks.registry import load_registry
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from numpy.typing import NDArray
+    from cucumbervision.arrays import Array32
 
 
 def look_network(path: Path, side: int = END_PX) -> Path:
@@ -53,7 +53,7 @@ def test_all_ends_are_one_batch_and_each_is_the_mean_with_its_mirror_image(tmp_p
     network = looker._network
     compute = network.compute
 
-    def counted(feeds: dict[str, NDArray[np.float32]]) -> list[NDArray[np.float32]]:
+    def counted(feeds: dict[str, Array32]) -> list[Array32]:
         batches.append(len(feeds["crops"]))
         return compute(feeds)
 

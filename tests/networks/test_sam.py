@@ -10,8 +10,8 @@ from typing import Any, cast
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from cucumbervision.arrays import Mask, Numbers, Pixels
 from cucumbervision.errors import ModelError, UnknownModelError
 from cucumbervision.fruit.instance import Instance, MaskSource
 from cucumbervision.fruit.masks import box_of_mask
@@ -19,8 +19,8 @@ from cucumbervision.networks.find import open_segmenter
 from cucumbervision.networks.runtime import Network
 from cucumbervision.networks.sam import PROMPTS, Sam
 
-Mask = NDArray[np.bool_]
-Picture = NDArray[np.uint8]
+Mask = Mask
+Picture = Pixels
 
 
 def drawn(height: int, width: int, *curves: list[tuple[int, int]], thick: int = 30) -> Picture:
@@ -57,9 +57,9 @@ class Remembered:
 
     def __init__(self, encoder: Network) -> None:
         self.inputs, self.runtime, self._encoder = encoder.inputs, encoder.runtime, encoder
-        self._known: dict[bytes, dict[str, NDArray[Any]]] = {}
+        self._known: dict[bytes, dict[str, Numbers]] = {}
 
-    def run(self, feeds: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    def run(self, feeds: Mapping[str, Numbers]) -> dict[str, Numbers]:
         key = feeds["image"].tobytes()
         if key not in self._known:
             self._known[key] = dict(self._encoder.run(feeds))
@@ -88,7 +88,7 @@ def test_a_picture_is_encoded_once_and_another_in_its_place_anew(
 ) -> None:
     encoder, runs = segmenter._encoder, []
 
-    def run(feeds: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    def run(feeds: Mapping[str, Numbers]) -> dict[str, Numbers]:
         runs.append(feeds)
         return encoder.run(feeds)
 

@@ -3,8 +3,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from cucumbervision.arrays import Array32
 from cucumbervision.networks.sam import mask_from_logits, prepare_picture, rows_needed, scaled_size
 
 
@@ -34,7 +34,7 @@ def test_a_sliver_is_smoothed_along_its_length() -> None:
     np.testing.assert_allclose(row, 128, atol=1e-3)
 
 
-def two_steps(logits: NDArray[np.float32], height: int, width: int) -> NDArray[np.float32]:
+def two_steps(logits: Array32, height: int, width: int) -> Array32:
     """SAM's own way: the whole square to 1024, without the padding, to the picture's size."""
     rows, columns = scaled_size(height, width)
     square = cv2.resize(logits, (1024, 1024), interpolation=cv2.INTER_LINEAR)

@@ -2,14 +2,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from tests.constant_network import constant_network, registry_of
 
+from cucumbervision.arrays import Mask, Numbers
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
@@ -18,7 +17,7 @@ from cucumbervision.networks.registry import Registry, load_registry
 from cucumbervision.networks.yolo import fit
 
 ROW_A = "simulated-row-a"
-Array = NDArray[Any]
+Array = Numbers
 
 
 def network(path: Path, outputs: list[Array], props: Mapping[str, object]) -> Path:
@@ -27,7 +26,7 @@ def network(path: Path, outputs: list[Array], props: Mapping[str, object]) -> Pa
     return path
 
 
-def middles(mask: NDArray[np.bool_], count: int = 5) -> Array:
+def middles(mask: Mask, count: int = 5) -> Array:
     """Points down a hanging fruit: the middle of the mask in rows evenly spread."""
     rows = np.flatnonzero(mask.any(axis=1))
     chosen = rows[np.linspace(0, len(rows) - 1, count).round().astype(int)]

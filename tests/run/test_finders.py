@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from cucumbervision.arrays import Pixels
 from cucumbervision.capture.frames import Capture
 from cucumbervision.errors import ModelError
 from cucumbervision.fruit.instance import UNKNOWN_ORDER, Instance, MaskSource
@@ -170,7 +170,7 @@ def test_a_picture_without_a_clear_fruit_is_turned_where_up_is_unknown(
     color = np.zeros_like(plain.color)
     color[0, 0], shape = 255, color.shape[1::-1]  # lower left, once it is turned by a quarter
 
-    def find(_: Detectors, color_rgb: NDArray[np.uint8], *__: object) -> tuple[Instance, ...]:
+    def find(_: Detectors, color_rgb: Pixels, *__: object) -> tuple[Instance, ...]:
         return (replace(fruit, confidence=0.9) if color_rgb[-1, 0, 0] else fruit,)
 
     monkeypatch.setattr(Detectors, "find", find)

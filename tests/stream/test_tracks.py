@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from cucumbervision.arrays import Array
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.fruit.instance import Instance
@@ -20,7 +20,7 @@ CAMERA = Intrinsics(848, 480, 616.0, 616.0, 424.0, 240.0)
 class Row:
     """Hanging boxes along a row; the camera walks beside them."""
 
-    at_m: NDArray[np.float64]
+    at_m: Array
     rng: np.random.Generator
     noise_m: float = 0.004
 

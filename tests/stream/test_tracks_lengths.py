@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from cucumbervision.arrays import Array
 from cucumbervision.methods.result import INTERVAL_Z, Length, LengthDefinition, LengthKind
 from cucumbervision.stream.tracks import FIXED, TrackLength
 
@@ -24,7 +24,7 @@ def relative_sd(one: Length) -> float:
     return one.relative_sd or 0.0
 
 
-def after(*frames: tuple[Length, NDArray[np.float64]], **how: bool) -> tuple[TrackLength, Length]:
+def after(*frames: tuple[Length, Array], **how: bool) -> tuple[TrackLength, Length]:
     """Return a track after frames of the whole fruit, and its length."""
     track = TrackLength()
     for frame, place in frames:

@@ -45,8 +45,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
+    from cucumbervision.arrays import Array, Array32, Mask, Pixels
     from cucumbervision.fruit.crops import FruitCrop
     from cucumbervision.fruit.instance import Instance
 
@@ -91,9 +90,7 @@ class SmallNetwork:
                 remedy=f"name a network by `cucumbervision {self.command}`",
             )
 
-    def _run(
-        self, pictures: NDArray[np.uint8], *values: NDArray[np.float32]
-    ) -> dict[str, NDArray[np.float32]]:
+    def _run(self, pictures: Pixels, *values: Array32) -> dict[str, Array32]:
         """Return the outputs by name for pictures (N, H, W, C) and the values of other inputs."""
         names = [tensor.name for tensor in self._network.inputs]
         return self._network.run(dict(zip(names, (input_planes(pictures), *values), strict=True)))
@@ -125,8 +122,8 @@ class FruitLook:
         Log-odds that it is a cucumber, and that the last keypoint is the stem end.
     """
 
-    outline: NDArray[np.float32]
-    points: NDArray[np.float64]
+    outline: Array32
+    points: Array
     fruit: float
     stem_last: float
 
@@ -170,7 +167,7 @@ class FruitLooker(SmallNetwork):
         pairs = zip(answers[: len(crops)], answers[len(crops) :], strict=True)
         return [_mean(ahead, back.turned()) for ahead, back in pairs]
 
-    def _answers(self, planes: NDArray[np.uint8]) -> list[FruitLook]:
+    def _answers(self, planes: Pixels) -> list[FruitLook]:
         answers = self._run(planes)
         outlines, points, verdicts = (
             np.asarray(answers[name], np.float32) for name in ("outline", "points", "verdict")
@@ -201,12 +198,12 @@ class PictureLooks:
     """
 
     looker: FruitLooker
-    color_rgb: NDArray[np.uint8]
-    depth_m: NDArray[np.float32] | None = None
+    color_rgb: Pixels
+    depth_m: Array32 | None = None
     focal_px: float | None = None
     once: bool = False
     # With each mask, so that no other gets its number.
-    _done: dict[int, tuple[NDArray[np.bool_], FruitCrop, FruitLook]] = field(default_factory=dict)
+    _done: dict[int, tuple[Mask, FruitCrop, FruitLook]] = field(default_factory=dict)
 
     def rescore(self, instances: Sequence[Instance]) -> tuple[Instance, ...]:
         """Return detections with confidences that say what their crops show, too.
@@ -307,10 +304,7 @@ def rescored(confidence: float, log_odds: float) -> float:
 
 
 def refined(
-    instance: Instance,
-    crop: FruitCrop,
-    look: FruitLook,
-    neighbours: Sequence[NDArray[np.bool_]] = (),
+    instance: Instance, crop: FruitCrop, look: FruitLook, neighbours: Sequence[Mask] = ()
 ) -> Instance:
     """Return a detection with the outline and the keypoints of a look at it.
 
@@ -391,7 +385,7 @@ class EndLooker(SmallNetwork):
         return [looked_at(row) for row in mean]
 
 
-def looked_at(row: NDArray[np.float64]) -> EndLook:
+def looked_at(row: Array) -> EndLook:
     """Convert the network's output for one end.
 
     Parameters
@@ -454,10 +448,7 @@ class Detectors:
         return from_detector or self.pose is not None or self.fruit is not None
 
     def find(
-        self,
-        color_rgb: NDArray[np.uint8],
-        depth_m: NDArray[np.float32] | None = None,
-        focal_px: float | None = None,
+        self, color_rgb: Pixels, depth_m: Array32 | None = None, focal_px: float | None = None
     ) -> tuple[Instance, ...]:
         """Find the fruit of one picture, without duplicates.
 
@@ -498,7 +489,7 @@ class Detectors:
 def each_fruit_once(
     detected: Sequence[Instance],
     posed: Sequence[Instance] | None,
-    depth_m: NDArray[np.float32] | None = None,
+    depth_m: Array32 | None = None,
     *,
     confidence: float = DEFAULT_CONFIDENCE,
     looks: int = 1,
@@ -597,7 +588,7 @@ class NetworkSegmenter(Segmenter, Protocol):
         """The runtime, as `Network.runtime`."""
         ...
 
-    def mask_at(self, color_rgb: NDArray[np.uint8], u_px: float, v_px: float) -> NDArray[np.bool_]:
+    def mask_at(self, color_rgb: Pixels, u_px: float, v_px: float) -> Mask:
         """Return the mask of the object at one pixel, bool, shape (H, W); may be empty."""
         ...
 

@@ -19,11 +19,11 @@ from cucumbervision.tube.shape import arc_positions, points_along
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
+    from cucumbervision.arrays import Array, Mask
     from cucumbervision.fruit.instance import Instance
 
-    Array = NDArray[np.float64]
     _Axis = tuple[Array, Array, Array, Callable[[Array], Array]]
 
 _LEAST_PIXELS = 80
@@ -96,7 +96,7 @@ def _with_placed_keypoints(instance: Instance) -> Instance:
     return replace(instance, keypoints=np.column_stack([spread, points[:, 2]]))
 
 
-def body_without_stalk(mask: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
+def body_without_stalk(mask: Mask) -> Mask | None:
     """Return a mask without the parts thinner than 45 % of its largest thickness.
 
     Parameters
@@ -125,7 +125,7 @@ def body_without_stalk(mask: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
     return body
 
 
-def axis_line(mask: NDArray[np.bool_]) -> Array | None:
+def axis_line(mask: Mask) -> Array | None:
     """Return the axis of an outline from one end to the other.
 
     Parameters
@@ -146,7 +146,7 @@ def axis_line(mask: NDArray[np.bool_]) -> Array | None:
     return None if axis is None else _line_along(mask, axis)
 
 
-def _line_along(mask: NDArray[np.bool_], axis: _Axis) -> Array | None:
+def _line_along(mask: Mask, axis: _Axis) -> Array | None:
     middle, frame, along, curve = axis
     s = np.linspace(along.min(), along.max(), _SAMPLES)
     line = middle + np.stack([s, curve(s)], axis=1) @ frame
@@ -155,7 +155,7 @@ def _line_along(mask: NDArray[np.bool_], axis: _Axis) -> Array | None:
     return line[first:last] if inside.any() and inside[first:last].all() else None
 
 
-def keypoints_between(mask: NDArray[np.bool_], ends_px: ArrayLike) -> Array | None:
+def keypoints_between(mask: Mask, ends_px: ArrayLike) -> Array | None:
     """Return five points along the axis of an outline from one known end to the other.
 
     Parameters
@@ -187,7 +187,7 @@ def keypoints_between(mask: NDArray[np.bool_], ends_px: ArrayLike) -> Array | No
     return None if axis is None else _points_between(mask, axis, np.asarray(ends_px, np.float64))
 
 
-def _points_between(mask: NDArray[np.bool_], axis: _Axis, ends: Array) -> Array | None:
+def _points_between(mask: Mask, axis: _Axis, ends: Array) -> Array | None:
     middle, frame, _, curve = axis
     first, last = (ends - middle) @ frame[0]
     s = np.linspace(first, last, _SAMPLES)
@@ -200,7 +200,7 @@ def _points_between(mask: NDArray[np.bool_], axis: _Axis, ends: Array) -> Array 
     return points_along(line, KEYPOINT_SHARES)
 
 
-def _axis(mask: NDArray[np.bool_]) -> _Axis | None:
+def _axis(mask: Mask) -> _Axis | None:
     """Return the pixels' centre, their principal axes, coordinates along, and the cubic."""
     pixels = mask_pixels(mask)
     if len(pixels) < _LEAST_PIXELS:
@@ -214,7 +214,7 @@ def _axis(mask: NDArray[np.bool_]) -> _Axis | None:
     return middle, frame, along, np.polynomial.Polynomial.fit(along, across, 3)
 
 
-def _inside(mask: NDArray[np.bool_], line: Array) -> NDArray[np.bool_]:
+def _inside(mask: Mask, line: Array) -> Mask:
     u, v = np.rint(line).astype(int).T
     height, width = mask.shape
     within = (u >= 0) & (v >= 0) & (u < width) & (v < height)

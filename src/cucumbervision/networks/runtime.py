@@ -19,7 +19,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -28,9 +28,7 @@ from cucumbervision.errors import MissingExtraError, ModelError, OutOfMemoryErro
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
-Array: TypeAlias = np.ndarray[Any, np.dtype[Any]]
+    from cucumbervision.arrays import Array32, Numbers, Pixels
 
 CARD_RUNTIMES = ("cuda", "tensorrt")
 RUNTIMES = ("auto", "onnxruntime", "openvino", *CARD_RUNTIMES)
@@ -108,9 +106,9 @@ class Network:
     metadata: Mapping[str, str]
     runtime: str
     source: str
-    compute: Callable[[dict[str, Array]], list[Array]]
+    compute: Callable[[dict[str, Numbers]], list[Numbers]]
 
-    def run(self, feeds: Mapping[str, Array]) -> dict[str, Array]:
+    def run(self, feeds: Mapping[str, Numbers]) -> dict[str, Numbers]:
         """Run the network once.
 
         Parameters
@@ -152,7 +150,7 @@ class Network:
         named = zip(self.outputs, outputs, strict=True)
         return {info.name: self._checked(info.name, array) for info, array in named}
 
-    def _checked(self, name: str, array: Array) -> Array:
+    def _checked(self, name: str, array: Numbers) -> Numbers:
         # The extremes show what is not finite, and need no memory beside that of a large output.
         extremes = (array.min(), array.max()) if array.dtype.kind == "f" and array.size else ()
         if not np.isfinite(extremes).all():
@@ -223,11 +221,11 @@ def open_network(
 
 
 def input_planes(
-    pixels: NDArray[np.uint8],
+    pixels: Pixels,
     mean: Sequence[float] = (0.0,),
     scale: Sequence[float] = (255.0,),
     size_px: tuple[int, int] | None = None,
-) -> NDArray[np.float32]:
+) -> Array32:
     """Return pictures as an input that takes (level - mean) / scale by planes.
 
     Parameters
@@ -380,7 +378,7 @@ def _by_openvino(network: bytes, source: str, *, full_precision: bool) -> Networ
     metadata = model.get_rt_info("framework").value.items() if has_metadata else ()
     request, one_at_a_time = compiled.create_infer_request(), threading.Lock()
 
-    def compute(feeds: dict[str, Array]) -> list[Array]:
+    def compute(feeds: dict[str, Numbers]) -> list[Numbers]:
         with one_at_a_time:
             request.infer(feeds, share_inputs=True)
             # Copy, since the next run overwrites the request's buffers.

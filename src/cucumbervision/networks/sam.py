@@ -37,7 +37,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from scipy.sparse import csr_array
 
-    _Answer = tuple[NDArray[np.float32], NDArray[np.float32]]
+    from cucumbervision.arrays import Array, Array32, Mask, Pixels
+
+    _Answer = tuple[Array32, Array32]
 
 PROMPTS = ("box", "box+point", "point")
 """Prompts for a detection: its box, its centre, or both."""
@@ -113,12 +115,10 @@ class Sam:
             files["decoder"], runtime_for_batches(runtime), full_precision=True
         )
         self.runtime = self._encoder.runtime
-        self._encoded: OrderedDict[object, NDArray[np.float32]] = OrderedDict()
+        self._encoded: OrderedDict[object, Array32] = OrderedDict()
 
     @OneThread()
-    def segment(
-        self, color_rgb: NDArray[np.uint8], instances: Sequence[Instance]
-    ) -> tuple[Instance, ...]:
+    def segment(self, color_rgb: Pixels, instances: Sequence[Instance]) -> tuple[Instance, ...]:
         """Draw a mask for each fruit.
 
         Parameters
@@ -150,9 +150,7 @@ class Sam:
         ]
         return _disjoint(complete)
 
-    def _drawn(
-        self, color_rgb: NDArray[np.uint8], instances: Sequence[Instance]
-    ) -> tuple[Instance, ...]:
+    def _drawn(self, color_rgb: Pixels, instances: Sequence[Instance]) -> tuple[Instance, ...]:
         """Draw a mask for each, ignoring separate parts."""
         height, width = color_rgb.shape[:2]
         limit = np.array([width, height, width, height]) - 0.5
@@ -164,7 +162,7 @@ class Sam:
         )
 
     @OneThread()
-    def mask_at(self, color_rgb: NDArray[np.uint8], u_px: float, v_px: float) -> NDArray[np.bool_]:
+    def mask_at(self, color_rgb: Pixels, u_px: float, v_px: float) -> Mask:
         """Draw the mask of the object at one pixel, regardless of `prompt`.
 
         Parameters
@@ -183,9 +181,7 @@ class Sam:
         ((logits, sure),) = self._answers(color_rgb, point_box, "point")
         return mask_from_logits(logits[sure.argmax()], *color_rgb.shape[:2])
 
-    def _answers(
-        self, color_rgb: NDArray[np.uint8], boxes: NDArray[np.float64], prompt: str
-    ) -> list[_Answer]:
+    def _answers(self, color_rgb: Pixels, boxes: Array, prompt: str) -> list[_Answer]:
         """Return each box's masks as logits, with SAM's predicted IoUs."""
         if not len(boxes):
             return []
@@ -199,7 +195,7 @@ class Sam:
             answered.extend(zip(answer["logits"], answer["ious"], strict=True))
         return answered
 
-    def _encode(self, color_rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
+    def _encode(self, color_rgb: Pixels) -> Array32:
         """Return the picture's embedding; the last ones are held."""
         # Compare contents, since a camera may reuse the array for the next picture.
         digest = hashlib.blake2b(np.ascontiguousarray(color_rgb).data).digest()
@@ -241,7 +237,7 @@ def rows_needed(height: int, width: int) -> int:
     return -(-scaled_size(height, width)[0] // _PATCH) * _PATCH
 
 
-def prepare_picture(color_rgb: NDArray[np.uint8], rows: int = _SIDE) -> NDArray[np.float32]:
+def prepare_picture(color_rgb: Pixels, rows: int = _SIDE) -> Array32:
     """Scale, normalise and pad an image as SAM's encoder expects it.
 
     Parameters
@@ -267,9 +263,7 @@ def prepare_picture(color_rgb: NDArray[np.uint8], rows: int = _SIDE) -> NDArray[
     return input_planes(pixels, _MEAN, _STD, (rows, _SIDE))
 
 
-def _scaled_planes(
-    color_rgb: NDArray[np.uint8], height: int, width: int
-) -> list[NDArray[np.float32]]:
+def _scaled_planes(color_rgb: Pixels, height: int, width: int) -> list[Array32]:
     """Return the colours' planes (height, width), in whole levels.
 
     Resized as Pillow does, which SAM was trained with: bilinear, and smoothing when it shrinks.
@@ -309,7 +303,7 @@ def _shrinking(size_in: int, size_out: int) -> csr_array[Any, tuple[int, int]]:
     )
 
 
-def points_to_sam(points_px: NDArray[np.float64], height: int, width: int) -> NDArray[np.float32]:
+def points_to_sam(points_px: Array, height: int, width: int) -> Array32:
     """Map points of the picture to the decoder's pixels.
 
     The picture's edges run from -0.5 to W - 0.5 and are scaled onto 0 to the scaled width; the
@@ -334,11 +328,11 @@ def points_to_sam(points_px: NDArray[np.float64], height: int, width: int) -> ND
     """
     scaled_height, scaled_width = scaled_size(height, width)
     scale = np.array([scaled_width / width, scaled_height / height])
-    scaled: NDArray[np.float32] = ((points_px + 0.5) * scale - 0.5).astype(np.float32)
+    scaled: Array32 = ((points_px + 0.5) * scale - 0.5).astype(np.float32)
     return scaled
 
 
-def mask_from_logits(logits: NDArray[np.float32], height: int, width: int) -> NDArray[np.bool_]:
+def mask_from_logits(logits: Array32, height: int, width: int) -> Mask:
     """Enlarge one low-resolution mask to the picture and threshold it at zero.
 
     In SAM's own two bilinear steps: to 1024, and without the padding to the picture's size.
@@ -371,7 +365,7 @@ def mask_from_logits(logits: NDArray[np.float32], height: int, width: int) -> ND
     return np.asarray(enlarged > 0)
 
 
-def mask_to_sam(mask: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.bool_]:
+def mask_to_sam(mask: Mask, shape: tuple[int, ...]) -> Mask:
     """Shrink a mask of the picture to the decoder's pixels.
 
     Parameters
@@ -404,11 +398,7 @@ def mask_to_sam(mask: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.b
     return small
 
 
-def _fault(
-    mask: NDArray[np.bool_],
-    detector_mask: NDArray[np.bool_] | None,
-    box: NDArray[np.float64] | None = None,
-) -> str:
+def _fault(mask: Mask, detector_mask: Mask | None, box: Array | None = None) -> str:
     """Return why a mask cannot be a fruit; empty if it can.
 
     Parameters
@@ -456,9 +446,7 @@ def _fault(
     return "" if agrees else "mask-off-detector"
 
 
-def _prompts(
-    boxes: NDArray[np.float64], prompt: str
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _prompts(boxes: Array, prompt: str) -> tuple[Array, NDArray[np.int64]]:
     """Return points (N, P, 2) in pixels and SAM's labels (N, P).
 
     As in SAM, points precede the corners, and a point without a box is followed by a padding point.
@@ -477,7 +465,7 @@ def _prompts(
 
 
 def _with_mask(
-    instance: Instance, answer: _Answer, box: NDArray[np.float64], height: int, width: int
+    instance: Instance, answer: _Answer, box: Array, height: int, width: int
 ) -> Instance:
     """Return an instance with the best of SAM's masks, unless it cannot be the fruit."""
     logits, sure = answer
@@ -529,7 +517,7 @@ def _disjoint(instances: Sequence[Instance]) -> tuple[Instance, ...]:
     return tuple(out)
 
 
-def _with(instance: Instance, mask: NDArray[np.bool_], fault: str) -> Instance:
+def _with(instance: Instance, mask: Mask, fault: str) -> Instance:
     """Return an instance with a mask that SAM drew, or with the fault of it."""
     if fault:
         return replace(instance, mask=None, mask_source=None, mask_failure=fault)

@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
+    from cucumbervision.arrays import Array, Array32, Ints, Mask, Pixels
+
 
 ONE_TO_ONE_KEY = "one2one"
 """Metadata key of our exports: 'True' if the raw output is from the one-to-one head."""
@@ -186,7 +188,7 @@ class Letterbox:
     top_px: int
     left_px: int
 
-    def apply(self, color_rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    def apply(self, color_rgb: Pixels) -> Pixels:
         """Resize linearly and pad with grey.
 
         Parameters
@@ -207,11 +209,11 @@ class Letterbox:
         out[self.top_px : self.top_px + rows, self.left_px : self.left_px + columns] = inner
         return out
 
-    def as_input(self, color_rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
+    def as_input(self, color_rgb: Pixels) -> Array32:
         """Return the input (1, 3, input_height, input_width) of 0 to 1, red first."""
         return input_planes(self.apply(color_rgb)[None])
 
-    def boxes_back(self, boxes: NDArray[np.floating]) -> NDArray[np.float64]:
+    def boxes_back(self, boxes: NDArray[np.floating]) -> Array:
         """Map boxes from the network's input to the picture, and clip them.
 
         Parameters
@@ -226,7 +228,7 @@ class Letterbox:
         """
         return self.points_back(np.reshape(boxes, (-1, 2, 2))).reshape(-1, 4)
 
-    def points_back(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
+    def points_back(self, points: NDArray[np.floating]) -> Array:
         """Map points from the network's input to the picture, and clip them.
 
         Parameters
@@ -245,11 +247,8 @@ class Letterbox:
         return np.clip(original, 0.0, (self.width, self.height)) - 0.5
 
     def mask_back(
-        self,
-        prototypes: NDArray[np.float32],
-        coefficients: NDArray[np.float32],
-        box: NDArray[np.floating],
-    ) -> NDArray[np.bool_]:
+        self, prototypes: Array32, coefficients: Array32, box: NDArray[np.floating]
+    ) -> Mask:
         """Map one mask from the prototypes' grid to the picture, and crop it to its box.
 
         The prototypes' weighted sum is interpolated linearly and cut at zero at the picture's own
@@ -326,9 +325,7 @@ def fit(
 
 
 @lru_cache(maxsize=8)
-def _mask_weights(
-    box: Letterbox, rows: int, columns: int
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _mask_weights(box: Letterbox, rows: int, columns: int) -> tuple[Array32, Array32]:
     """Return the matrices that interpolate the prototypes' rows and columns to the picture's."""
     return (
         _linear_weights(rows, box.input_height, box.top_px, box.inner_height, box.height),
@@ -336,9 +333,7 @@ def _mask_weights(
     )
 
 
-def _linear_weights(
-    cells: int, input_px: int, start_px: int, inner_px: int, size: int
-) -> NDArray[np.float32]:
+def _linear_weights(cells: int, input_px: int, start_px: int, inner_px: int, size: int) -> Array32:
     """Return what each of `cells` along a side adds to each of `size` pixels, (size, cells).
 
     The picture's side lies at `start_px`, `inner_px` long, in an input of `input_px`. Cells in the
@@ -479,9 +474,7 @@ class YoloDetector:
         )
 
     @OneThread()
-    def detect(
-        self, color_rgb: NDArray[np.uint8], confidence: float | None = None
-    ) -> tuple[Instance, ...]:
+    def detect(self, color_rgb: Pixels, confidence: float | None = None) -> tuple[Instance, ...]:
         """Find fruit in one picture, at every input size.
 
         Parameters
@@ -527,7 +520,7 @@ class YoloDetector:
                 raise self._refused(fault, "choose another --input-size")
 
     def _detect_at(
-        self, color_rgb: NDArray[np.uint8], size_px: tuple[int, int], confidence: float
+        self, color_rgb: Pixels, size_px: tuple[int, int], confidence: float
     ) -> tuple[Instance, ...]:
         height, width = color_rgb.shape[:2]
         is_free, stride_px = self._fixed_px is None, self._metadata.stride
@@ -720,9 +713,7 @@ _MAX_DETECTIONS = 300
 _NMS_IOU = 0.7
 
 
-def choose_rows(
-    output: NDArray[np.floating], confidence: float, *, source: str = ""
-) -> NDArray[np.float32]:
+def choose_rows(output: NDArray[np.floating], confidence: float, *, source: str = "") -> Array32:
     """Take the rows of an end-to-end output whose score exceeds the confidence.
 
     Parameters
@@ -763,7 +754,7 @@ def choose_rows(
 
 def choose_raw(
     output: NDArray[np.floating], classes: int, confidence: float, *, one_to_one: bool
-) -> NDArray[np.float32]:
+) -> Array32:
     """Select the detections of a raw output.
 
     Parameters
@@ -809,5 +800,5 @@ def choose_raw(
     return rows[score > confidence]
 
 
-def _descending(values: NDArray[np.float32]) -> NDArray[np.intp]:
+def _descending(values: Array32) -> Ints:
     return np.argsort(-values, kind="stable")

@@ -47,8 +47,9 @@ from cucumbervision.run.options import INSTANCE_SOURCES, MeasureOptions, PlugIns
 
 if TYPE_CHECKING:
     import pandas as pd
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
+    from cucumbervision.arrays import Numbers, Pixels
     from cucumbervision.capture.intrinsics import Intrinsics
     from cucumbervision.capture.source import CaptureSource, ReadOptions
     from cucumbervision.fruit.label_files import InstanceFile
@@ -696,11 +697,11 @@ class Results:
 
 
 def measure(
-    captures: Capture | Path | str | NDArray[np.uint8] | Iterable[Capture | Path | str],
-    depth: NDArray[Any] | None = None,
+    captures: Capture | Path | str | Pixels | Iterable[Capture | Path | str],
+    depth: Numbers | None = None,
     intrinsics: Intrinsics | ArrayLike | None = None,
     *,
-    masks: Iterable[NDArray[Any]] | None = None,
+    masks: Iterable[Numbers] | None = None,
     instances: str | Path | Sequence[Instance] | Detector | None = None,
     segmenter: str | Segmenter | None = None,
     methods: str | Iterable[str | Method] = "all",

@@ -18,8 +18,7 @@ from cucumbervision.methods.result import IntervalBasis, Length, LengthDefinitio
 from cucumbervision.plugins import own
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from cucumbervision.arrays import Array
     from cucumbervision.capture.frames import Capture
     from cucumbervision.methods.result import Fruit
     from cucumbervision.methods.table import Trait
@@ -328,7 +327,7 @@ def _line(capture: Capture, number: int, fruit: Fruit) -> dict[str, Any]:
     }
 
 
-def _centre_m(capture: Capture, fruit: Fruit) -> NDArray[np.float64] | None:
+def _centre_m(capture: Capture, fruit: Fruit) -> Array | None:
     """Return the middle of the measured line, or of the box at the fruit's distance."""
     path = None if fruit.selected is None else fruit.selected.path_m
     if path is not None and len(path):

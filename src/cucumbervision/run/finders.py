@@ -31,8 +31,7 @@ from cucumbervision.run.options import INSTANCE_SOURCES, MeasureOptions, PlugIns
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
+    from cucumbervision.arrays import Array32, Pixels
     from cucumbervision.capture.frames import Capture
     from cucumbervision.methods.result import Measurement
     from cucumbervision.networks.yolo import YoloDetector
@@ -424,7 +423,7 @@ def upright_quarters(gravity: tuple[float, float, float] | None) -> int:
     return int(round(-np.arctan2(across, down) / (np.pi / 2)) % 4)
 
 
-def _seen(capture: Capture) -> tuple[NDArray[np.uint8], NDArray[np.float32] | None, float | None]:
+def _seen(capture: Capture) -> tuple[Pixels, Array32 | None, float | None]:
     """Return colour, depth and focal length in pixels, both None for a picture without depth."""
     if not capture.depth_m.any():
         return capture.color, None, None

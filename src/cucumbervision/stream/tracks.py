@@ -30,8 +30,7 @@ from cucumbervision.methods.result import INTERVAL_Z, UNKNOWN_SD, Length, Length
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
+    from cucumbervision.arrays import Array, Ints, Mask
     from cucumbervision.capture.frames import Capture
     from cucumbervision.capture.intrinsics import Intrinsics
     from cucumbervision.fruit.instance import Instance
@@ -45,7 +44,7 @@ _SURE_SD, _LEAST_APART = 4.0, 0.15  # standard deviations, and log lengths: leas
 _LEAST_SD = 0.002  # of a length, relative
 
 
-def same_place(a_m: NDArray[np.float64], b_m: NDArray[np.float64]) -> bool:
+def same_place(a_m: Array, b_m: Array) -> bool:
     """Return whether a fruit was seen twice from one place.
 
     Parameters
@@ -67,7 +66,7 @@ def same_place(a_m: NDArray[np.float64], b_m: NDArray[np.float64]) -> bool:
 class _Place:
     """Running mean and scatter of the log lengths of frames from one place."""
 
-    at_m: NDArray[np.float64]
+    at_m: Array
     count: int = 0
     mean: float = 0.0
     scatter: float = 0.0
@@ -129,12 +128,7 @@ class TrackLength:
     _shift: float = 0.0
 
     def add(
-        self,
-        length: Length,
-        at_m: NDArray[np.float64],
-        *,
-        partial: bool = False,
-        scale_known: bool = False,
+        self, length: Length, at_m: Array, *, partial: bool = False, scale_known: bool = False
     ) -> None:
         """Add the length of one frame.
 
@@ -196,7 +190,7 @@ class TrackLength:
         longer = log - before if partial else abs(log - before)
         return longer > max(_SURE_SD * float(np.hypot(sd, before_sd)), _LEAST_APART)
 
-    def _place(self, at_m: NDArray[np.float64]) -> _Place:
+    def _place(self, at_m: Array) -> _Place:
         for place in self.places:
             if same_place(place.at_m, at_m):
                 return place
@@ -247,12 +241,12 @@ class Sighting:
         Every fourth pixel of the mask, or of the box without a mask.
     """
 
-    at_m: NDArray[np.float64]
+    at_m: Array
     top_px: int
     left_px: int
-    outline: NDArray[np.bool_]
+    outline: Mask
 
-    def overlap(self, later: Sighting, shift_px: NDArray[np.float64]) -> float:
+    def overlap(self, later: Sighting, shift_px: Array) -> float:
         """Compute the intersection over union of this outline, shifted, with another.
 
         Examples
@@ -336,9 +330,9 @@ class Track:
 
     number: int
     sighting: Sighting
-    at_m: NDArray[np.float64]
+    at_m: Array
     seen_s: float
-    moved_m: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+    moved_m: Array = field(default_factory=lambda: np.zeros(3))
     unseen_frames: int = 0
     length: TrackLength = field(default_factory=TrackLength)
     seen_frames: int = 0
@@ -390,7 +384,7 @@ class Tracker:
         self.tracks: list[Track] = []
         self._numbers = count(1)
         self._at_s: float | None = None
-        self._speed_m_s: NDArray[np.float64] | None = None
+        self._speed_m_s: Array | None = None
 
     def forget(self) -> None:
         """Forget all fruit, for a new scene. Numbers are not reused."""
@@ -440,18 +434,16 @@ class Tracker:
                 self.tracks.append(matched[j])
         return [matched[j] for j in range(len(sightings))]
 
-    def _predicted(self, elapsed_s: float) -> NDArray[np.float64]:
+    def _predicted(self, elapsed_s: float) -> Array:
         speed = np.zeros(3) if self._speed_m_s is None else self._speed_m_s
         return np.asarray(speed * elapsed_s)
 
-    def _carry_on(self, shift_m: NDArray[np.float64]) -> None:
+    def _carry_on(self, shift_m: Array) -> None:
         for track in self.tracks:
             track.at_m = track.at_m + shift_m
             track.moved_m = track.moved_m + shift_m
 
-    def _pair(
-        self, sightings: Sequence[Sighting], camera: Intrinsics, elapsed_s: float
-    ) -> NDArray[np.intp]:
+    def _pair(self, sightings: Sequence[Sighting], camera: Intrinsics, elapsed_s: float) -> Ints:
         """Return pairs of track and sighting, shape (K, 2), after shifting the tracks."""
         from scipy.optimize import linear_sum_assignment
 
@@ -475,7 +467,7 @@ class Tracker:
         self._learn_speed(gap[rows[likely], columns[likely]], elapsed_s)
         return pairs
 
-    def _overlaps(self, sightings: Sequence[Sighting], camera: Intrinsics) -> NDArray[np.float64]:
+    def _overlaps(self, sightings: Sequence[Sighting], camera: Intrinsics) -> Array:
         """Return the log ratio from the mask overlap of each pair."""
         shares = np.zeros((len(self.tracks), len(sightings)))
         for i, track in enumerate(self.tracks):
@@ -486,7 +478,7 @@ class Tracker:
             shares[i] = [track.sighting.overlap(sighting, shift_px) for sighting in sightings]
         return np.asarray(np.log((shares + _LEAST_OVERLAP) / (_HALF_OVERLAP + _LEAST_OVERLAP)))
 
-    def _learn_speed(self, gap_m: NDArray[np.float64], elapsed_s: float) -> None:
+    def _learn_speed(self, gap_m: Array, elapsed_s: float) -> None:
         gaps_m = gap_m[np.isfinite(gap_m).all(axis=1)]
         if len(gaps_m) and elapsed_s > 0:
             self._speed_m_s = np.median(gaps_m, axis=0) / elapsed_s
@@ -508,22 +500,16 @@ def _crowd(sightings: Sequence[Sighting], camera: Intrinsics) -> Crowd:
     )
 
 
-def _place_ratio(
-    gap_m: NDArray[np.float64], variance_m2: NDArray[np.float64], crowd: Crowd, unknown: float
-) -> NDArray[np.float64]:
+def _place_ratio(gap_m: Array, variance_m2: Array, crowd: Crowd, unknown: float) -> Array:
     """Return the log ratio of positions; `unknown` if one of the two is NaN."""
-    is_located: NDArray[np.bool_] = np.asarray(np.isfinite(gap_m).all(axis=-1))
+    is_located: Mask = np.asarray(np.isfinite(gap_m).all(axis=-1))
     ratio = position_ratio(np.where(is_located[..., None], gap_m, 0.0), variance_m2, crowd)
     return np.asarray(np.where(is_located, ratio, unknown))
 
 
 def _likeliest_shift(
-    gap_m: NDArray[np.float64],
-    variance_m2: NDArray[np.float64],
-    crowd: Crowd,
-    predicted_m: NDArray[np.float64],
-    reach_m: float,
-) -> NDArray[np.float64]:
+    gap_m: Array, variance_m2: Array, crowd: Crowd, predicted_m: Array, reach_m: float
+) -> Array:
     """Return the shift of all fruit in camera coordinates, shape (3,).
 
     Candidates are every pair's difference, and the shift predicted by the speed.

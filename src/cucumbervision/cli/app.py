@@ -62,7 +62,7 @@ def _options(
         typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version."),
     ] = False,
 ) -> None:
-    """Measure greenhouse cucumbers without touching them, from RGB-D pictures."""
+    """Measure greenhouse cucumbers without touching them, from RGB-D images."""
 
 
 def main() -> None:

@@ -139,7 +139,7 @@ def measure_and_show(
 def detect_and_show(
     inputs: Sequence[str], out: Path, options: MeasureOptions, *, quiet: bool
 ) -> int:
-    """Detect fruit in pictures, show progress and a summary, and return the exit code.
+    """Detect fruit in images, show progress and a summary, and return the exit code.
 
     Progress and failures go to the standard error, the summary to the standard output.
     """
@@ -245,7 +245,7 @@ def show_failures(failures: Sequence[Failure], out: Path | None = None) -> None:
 
 
 def summary_table(result: DetectResult) -> Table:
-    """Return a table with the numbers of pictures and fruit, the mean score and the networks."""
+    """Return a table with the numbers of images and fruit, the mean score and the networks."""
     scores = [fruit["score"] for picture in result.pictures for fruit in picture.fruit]
     empty = sum(not picture.fruit for picture in result.pictures)
     table = Table(show_header=False)

@@ -1,4 +1,4 @@
-"""`cucumbervision measure`, `demo` and `detect`: captures or plain pictures in, fruit out."""
+"""`cucumbervision measure`, `demo` and `detect`: captures or plain images in, fruit out."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def detect(
     *,
     options: MeasureOptions,
 ) -> None:
-    """Find cucumbers in plain pictures: boxes, masks and keypoints, no lengths."""
+    """Find cucumbers in plain images: boxes, masks and keypoints, no lengths."""
     from cucumbervision.cli.console import detect_and_show
 
     raise typer.Exit(detect_and_show(inputs, out, options, quiet=quiet))

@@ -67,10 +67,10 @@ class SmallNetwork:
     """
 
     shapes: ClassVar[tuple[tuple[int, ...], ...]]
-    """Shape of each input, without the number of pictures; the first input is the pictures."""
+    """Shape of each input, without the number of images; the first input is the images."""
 
     takes: ClassVar[str]
-    """What the pictures show, for the error."""
+    """What the images show, for the error."""
 
     command: ClassVar[str]
     """The command that trains such a network, for the error."""
@@ -91,7 +91,7 @@ class SmallNetwork:
             )
 
     def _run(self, pictures: Pixels, *values: Array32) -> dict[str, Array32]:
-        """Return the outputs by name for pictures (N, H, W, C) and the values of other inputs."""
+        """Return the outputs by name for images (N, H, W, C) and the values of other inputs."""
         names = [tensor.name for tensor in self._network.inputs]
         return self._network.run(dict(zip(names, (input_planes(pictures), *values), strict=True)))
 
@@ -101,7 +101,7 @@ LEAST_AGREEMENT = 0.6
 
 
 _RAISING, _LOWERING = 0.4, 0.8
-"""Of the network's log-odds beside the detector's, both of which saw much the same pictures."""
+"""Of the network's log-odds beside the detector's, both of which saw much the same images."""
 
 _EVEN = 1.0
 """The network's log-odds that change no confidence: few of its crops show no fruit."""
@@ -181,14 +181,14 @@ class FruitLooker(SmallNetwork):
 
 @dataclass(eq=False)
 class PictureLooks:
-    """Looks at the fruit of one picture, each mask once.
+    """Looks at the fruit of one image, each mask once.
 
     Parameters
     ----------
     looker : FruitLooker
         The network.
     color_rgb : ndarray of uint8, shape (H, W, 3)
-        The picture.
+        The image.
     depth_m : ndarray of float32, shape (H, W), optional
         Metres, aligned to colour.
     focal_px : float, optional
@@ -450,12 +450,12 @@ class Detectors:
     def find(
         self, color_rgb: Pixels, depth_m: Array32 | None = None, focal_px: float | None = None
     ) -> tuple[Instance, ...]:
-        """Find the fruit of one picture, without duplicates.
+        """Find the fruit of one image, without duplicates.
 
         Parameters
         ----------
         color_rgb : ndarray of uint8, shape (H, W, 3)
-            The picture.
+            The image.
         depth_m : ndarray of float32, shape (H, W), optional
             Metres, aligned to colour; separates overlapping fruit, and is shown to the network that
             looks at each.
@@ -495,7 +495,7 @@ def each_fruit_once(
     looks: int = 1,
     look: Callable[[Sequence[Instance]], Sequence[Instance]] | None = None,
 ) -> tuple[Instance, ...]:
-    """Merge a detector's and a pose network's detections of one picture.
+    """Merge a detector's and a pose network's detections of one image.
 
     Parameters
     ----------
@@ -657,7 +657,7 @@ class NetworkLoader:
     full_precision : bool
         Compute in float32.
     most_fruit : int, optional
-        Largest number of detections per picture.
+        Largest number of detections per image.
     input_sizes : tuple of int
         Input sizes (long sides, pixels) of detector and pose network; empty for each file's
         default.

@@ -231,7 +231,7 @@ def input_planes(
     Parameters
     ----------
     pixels : ndarray of uint8, shape (N, H, W, C)
-        The pictures.
+        The images.
     mean, scale : sequence of float
         One of each per channel, or one for all.
     size_px : tuple of int, optional

@@ -1,6 +1,6 @@
-"""SAM networks: a mask for each prompted fruit of a picture.
+"""SAM networks: a mask for each prompted fruit of an image.
 
-The encoder runs once per picture, even if its fruit come in several calls with other pictures
+The encoder runs once per image, even if its fruit come in several calls with other images
 between; the decoder takes several prompts at once. Sources: SAM (Kirillov et al. 2023, "Segment
 Anything"; `ResizeLongestSide` and `postprocess_masks` of its code) and MobileSAM (Zhang et al.
 2023, "Faster Segment Anything").
@@ -58,7 +58,7 @@ least this share as long: the detector's masks are too wide before leaves of the
 _LEAST_PART = 0.1
 """Least share of the detector's mask for a part to be segmented separately."""
 
-_HELD = 4  # pictures whose embeddings are held, 4 MB each
+_HELD = 4  # images whose embeddings are held, 4 MB each
 
 _TOGETHER = 4  # prompts per call of the decoder; more need more memory and save no time
 
@@ -124,7 +124,7 @@ class Sam:
         Parameters
         ----------
         color_rgb : ndarray of uint8, shape (H, W, 3)
-            The picture; red first.
+            The image; red first.
         instances : sequence of Instance
             Their boxes are the prompts.
 
@@ -168,7 +168,7 @@ class Sam:
         Parameters
         ----------
         color_rgb : ndarray of uint8, shape (H, W, 3)
-            The picture; red first.
+            The image; red first.
         u_px, v_px : float
             The selected pixel.
 
@@ -197,13 +197,13 @@ class Sam:
 
     def _encode(self, color_rgb: Pixels) -> Array32:
         """Return the picture's embedding; the last ones are held."""
-        # Compare contents, since a camera may reuse the array for the next picture.
+        # Compare contents, since a camera may reuse the array for the next image.
         digest = hashlib.blake2b(np.ascontiguousarray(color_rgb).data).digest()
         picture = (color_rgb.shape, digest)
         embedding = self._encoded.pop(picture, None)
         if embedding is None:
             fixed_rows = self._encoder.inputs[0].shape[2]
-            # Padding is 44 % of the square under a picture of 16:9.
+            # Padding is 44 % of the square under an image of 16:9.
             rows = rows_needed(*color_rgb.shape[:2]) if fixed_rows is None else fixed_rows
             embedding = self._encoder.run({"image": prepare_picture(color_rgb, rows)})["embedding"]
             while len(self._encoded) >= _HELD:
@@ -213,7 +213,7 @@ class Sam:
 
 
 def scaled_size(height: int, width: int) -> tuple[int, int]:
-    """Return the height and width of a picture whose longer side is scaled to 1024.
+    """Return the height and width of an image whose longer side is scaled to 1024.
 
     Examples
     --------
@@ -304,7 +304,7 @@ def _shrinking(size_in: int, size_out: int) -> csr_array[Any, tuple[int, int]]:
 
 
 def points_to_sam(points_px: Array, height: int, width: int) -> Array32:
-    """Map points of the picture to the decoder's pixels.
+    """Map points of the image to the decoder's pixels.
 
     The picture's edges run from -0.5 to W - 0.5 and are scaled onto 0 to the scaled width; the
     decoder counts pixel centres too and adds half a pixel itself.
@@ -371,7 +371,7 @@ def mask_to_sam(mask: Mask, shape: tuple[int, ...]) -> Mask:
     Parameters
     ----------
     mask : ndarray of bool, shape (H, W)
-        In the picture.
+        In the image.
     shape : tuple of int
         Rows and columns of the decoder's masks: 256, or fewer rows.
 

@@ -194,7 +194,7 @@ class Letterbox:
         Parameters
         ----------
         color_rgb : ndarray of uint8, shape (height, width, 3)
-            The picture.
+            The image.
 
         Returns
         -------
@@ -214,7 +214,7 @@ class Letterbox:
         return input_planes(self.apply(color_rgb)[None])
 
     def boxes_back(self, boxes: NDArray[np.floating]) -> Array:
-        """Map boxes from the network's input to the picture, and clip them.
+        """Map boxes from the network's input to the image, and clip them.
 
         Parameters
         ----------
@@ -229,7 +229,7 @@ class Letterbox:
         return self.points_back(np.reshape(boxes, (-1, 2, 2))).reshape(-1, 4)
 
     def points_back(self, points: NDArray[np.floating]) -> Array:
-        """Map points from the network's input to the picture, and clip them.
+        """Map points from the network's input to the image, and clip them.
 
         Parameters
         ----------
@@ -249,7 +249,7 @@ class Letterbox:
     def mask_back(
         self, prototypes: Array32, coefficients: Array32, box: NDArray[np.floating]
     ) -> Mask:
-        """Map one mask from the prototypes' grid to the picture, and crop it to its box.
+        """Map one mask from the prototypes' grid to the image, and crop it to its box.
 
         The prototypes' weighted sum is interpolated linearly and cut at zero at the picture's own
         resolution (`process_mask_native`, Ultralytics' `retina_masks`); only the part that the
@@ -282,7 +282,7 @@ class Letterbox:
 def fit(
     height: int, width: int, size: tuple[int, int], *, minimal: bool = False, stride: int = 32
 ) -> Letterbox:
-    """Compute the position of a picture in a network's input.
+    """Compute the position of an image in a network's input.
 
     Parameters
     ----------
@@ -367,7 +367,7 @@ class YoloDetector:
     full_precision : bool
         As for `open_network`.
     most_fruit : int, optional
-        Largest number of detections per picture. A very low confidence gives hundreds, each with a
+        Largest number of detections per image. A very low confidence gives hundreds, each with a
         full-size mask.
     input_sizes : tuple of int
         Input sizes (long sides, pixels), multiples of the stride; detections at several are merged
@@ -475,21 +475,21 @@ class YoloDetector:
 
     @OneThread()
     def detect(self, color_rgb: Pixels, confidence: float | None = None) -> tuple[Instance, ...]:
-        """Find fruit in one picture, at every input size.
+        """Find fruit in one image, at every input size.
 
         Parameters
         ----------
         color_rgb : ndarray of uint8, shape (H, W, 3)
-            The picture.
+            The image.
         confidence : float, optional
             Threshold, instead of the detector's own.
 
         Returns
         -------
         tuple of Instance
-            Best first: boxes clipped to the picture, `detector_mask` from a segmenting network
+            Best first: boxes clipped to the image, `detector_mask` from a segmenting network
             (None where it is empty), `keypoints` from a pose network. Detections outside the
-            picture are omitted.
+            image are omitted.
 
         Raises
         ------

@@ -272,7 +272,7 @@ def labelled_once(
 def instance_notes(
     file: InstanceFile, captures: Sequence[tuple[Sequence[str], int | None]]
 ) -> list[str]:
-    """Return notes on captures and on pictures of a file without a counterpart.
+    """Return notes on captures and on images of a file without a counterpart.
 
     Parameters
     ----------
@@ -718,10 +718,10 @@ def measure(
     Parameters
     ----------
     captures : Capture, Path or str, or several of them; or ndarray of uint8, shape (H, W, 3)
-        Captures in memory; folders, files and URLs that `open_source` reads; or a picture, red
+        Captures in memory; folders, files and URLs that `open_source` reads; or an image, red
         first.
     depth, intrinsics, depth_unit_m
-        For a picture, as in `Capture.from_arrays`.
+        For an image, as in `Capture.from_arrays`.
     masks : iterable of ndarray, shape (H, W), optional
         The fruit of one capture, one mask each, as people drew them.
     instances : str, Path, sequence of Instance or Detector, optional

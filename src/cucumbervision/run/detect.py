@@ -1,4 +1,4 @@
-"""Find cucumbers in plain pictures: no depth, no lengths."""
+"""Find cucumbers in plain images: no depth, no lengths."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ _JPEG_QUALITY = 90
 def find_pictures(
     inputs: Sequence[str | Path], leave_out: Path | None = None
 ) -> tuple[list[Item], int]:
-    """List the pictures among files and in folders, including subfolders.
+    """List the images among files and in folders, including subfolders.
 
-    A named file counts as a picture with any extension; in folders the extension decides, and
+    A named file counts as an image with any extension; in folders the extension decides, and
     hidden files are skipped.
 
     Parameters
@@ -55,9 +55,9 @@ def find_pictures(
     -------
     items : list of Listed or Failure
         Each file once, in the order of the inputs, sorted within a folder; a failure for each input
-        without pictures.
+        without images.
     skipped : int
-        Number of files in folders whose extension is not that of a picture.
+        Number of files in folders whose extension is not that of an image.
 
     Examples
     --------
@@ -165,11 +165,11 @@ class DetectResult:
     Parameters
     ----------
     pictures : list of DetectedPicture
-        The pictures, in order.
+        The images, in order.
     failures : list of Failure
-        Pictures that could not be read.
+        Images that could not be read.
     skipped : int
-        Number of files in folders that are not pictures.
+        Number of files in folders that are not images.
     models : list of dict
         Name, SHA-256 and runtime of each network.
     out : Path
@@ -198,11 +198,11 @@ def detect_inputs(
     report: Report | None = None,
     registry: Registry | None = None,
 ) -> DetectResult:
-    """Find the fruit in every picture, and write the detections to a folder.
+    """Find the fruit in every image, and write the detections to a folder.
 
-    `out` gets `results.json` (COCO results), `images.json` (the pictures, classes and provenance
+    `out` gets `results.json` (COCO results), `images.json` (the images, classes and provenance
     as a COCO data set without annotations), `failures.csv`, and `overlays/` with one annotated
-    JPEG per picture. A picture that cannot be read is reported, and the others are processed. An
+    JPEG per image. An image that cannot be read is reported, and the others are processed. An
     interrupted run keeps its results.
 
     Parameters
@@ -210,11 +210,11 @@ def detect_inputs(
     inputs : sequence of str or Path
         Files, folders and patterns.
     out : Path
-        Output folder, created if missing; pictures in it are excluded.
+        Output folder, created if missing; images in it are excluded.
     options : MeasureOptions, optional
         Options of the run; those for measuring are ignored.
     report : callable, optional
-        Called with the number of pictures done and their total; for progress bars.
+        Called with the number of images done and their total; for progress bars.
     registry : Registry, optional
         Registry of named networks; by default that of the package.
 
@@ -231,7 +231,7 @@ def detect_inputs(
     started = datetime.now(UTC)
     items, skipped = find_pictures(inputs, leave_out=out)
     options = options or MeasureOptions()
-    if options.instances == "auto":  # plain pictures have no masks of a data set
+    if options.instances == "auto":  # plain images have no masks of a data set
         options = replace(options, instances="models")
     measurer = Measurer(options, registry)
     result = DetectResult(skipped=skipped, models=measurer.load().networks.models, out=out)

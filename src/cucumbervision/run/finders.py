@@ -49,9 +49,9 @@ class Detections:
     instances : tuple of Instance
         The instances, with the mask to measure if there is one.
     clipped : frozenset of int
-        Indices of instances that extended beyond the picture and were clipped.
+        Indices of instances that extended beyond the image and were clipped.
     refused : tuple of CucumberVisionError
-        Errors of entries of a file that are no valid instances of this picture.
+        Errors of entries of a file that are no valid instances of this image.
     stages : frozenset of str
         What networks did: 'detected', 'posed' and 'drawn'.
     labels : tuple of str
@@ -275,7 +275,7 @@ def _segmented(
     Raises
     ------
     PluginError
-        If it fails, or its answer is no mask of the picture for each instance.
+        If it fails, or its answer is no mask of the image for each instance.
     """
     answers = plugin.call(lambda: tuple(segmenter.segment(capture.color, tuple(prompts))))
     if len(answers) != len(prompts):
@@ -371,7 +371,7 @@ def dataset_instances(capture: Capture) -> tuple[Instance, ...]:
     )
 
 
-_ROUNDING_PX = 0.51  # boxes relative to the corner of the picture extend half a pixel beyond it
+_ROUNDING_PX = 0.51  # boxes relative to the corner of the image extend half a pixel beyond it
 
 
 def _finder_of(plugin: Plugin, detector: Detector) -> Find:

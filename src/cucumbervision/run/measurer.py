@@ -291,7 +291,7 @@ class Measurer:
             return self._finder
 
     def warm_up(self) -> None:
-        """Load the detection networks and run them on a grey picture; SAM is loaded on first use.
+        """Load the detection networks and run them on a grey image; SAM is loaded on first use.
 
         Raises
         ------
@@ -525,9 +525,9 @@ def _mean_diameter(fruit: Fruit, intrinsics: Intrinsics) -> float:
 
 
 def with_unit_doubts(fruit: Sequence[Fruit]) -> tuple[Fruit, ...]:
-    """Return the fruit of one picture, all flagged 'depth-unit' if half of them are too large.
+    """Return the fruit of one image, all flagged 'depth-unit' if half of them are too large.
 
-    They share one depth picture: if its unit is wrong, fruit of plausible size are wrong, too.
+    They share one depth image: if its unit is wrong, fruit of plausible size are wrong, too.
     """
     is_sized = [measured.length is not None or measured.reason in _REFUSED for measured in fruit]
     large = sum(Flag.DEPTH_UNIT in measured.flags for measured in fruit)

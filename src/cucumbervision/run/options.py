@@ -115,7 +115,7 @@ class MeasureOptions:
     camera_up : str, optional
         The picture's edge that is up, 'top', 'left', 'right' or 'bottom', for a camera that is
         mounted about level before hanging fruit; it takes the place of `Capture.gravity` where a
-        capture has none: the networks see the picture turned upright, and the stem is above.
+        capture has none: the networks see the image turned upright, and the stem is above.
     """
 
     instances: str = "auto"

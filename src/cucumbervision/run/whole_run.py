@@ -99,7 +99,7 @@ class CaptureRecord:
     models : list of dict
         The networks that were used.
     picture : str, optional
-        Its annotated picture in the output folder; empty if none was asked for, None if it could
+        Its annotated image in the output folder; empty if none was asked for, None if it could
         not be written, so that the capture counts as incomplete.
     is_earlier : bool
         Whether an earlier run measured it.
@@ -245,7 +245,7 @@ class OutputFolder:
 
 Report: TypeAlias = Callable[[Outcome[CaptureRecord]], None]
 Overlays: TypeAlias = Literal["png", "jpg", "none"]
-"""Kind of the annotated pictures."""
+"""Kind of the annotated images."""
 
 
 @dataclass(frozen=True)
@@ -259,7 +259,7 @@ class BatchOptions(LoopOptions):
     parquet : bool
         Also write `parquet/`, in parts of 100,000 fruit.
     overlays : str
-        Kind of the annotated pictures: 'png', 'jpg', which takes a tenth of the time, or 'none'.
+        Kind of the annotated images: 'png', 'jpg', which takes a tenth of the time, or 'none'.
     """
 
     parquet: bool = False
@@ -336,7 +336,7 @@ def measure_inputs(
     """Measure every capture of every input into a folder.
 
     `out` gets `measurements.csv`, `measurements.xlsx`, `measurements.json`, `overlays/` with one
-    annotated picture a capture, `failures.csv`, and `records/` with a JSON file a capture. An error
+    annotated image a capture, `failures.csv`, and `records/` with a JSON file a capture. An error
     in one capture is recorded and the others are measured. Captures whose record is there, and made
     of the same files, options, networks and code, are not measured again. A run that reads no
     capture leaves earlier tables as they are.
@@ -375,7 +375,7 @@ def measure_inputs(
 
 
 class FolderWorker(Worker[CaptureRecord]):
-    """Measures captures that changed, and writes their pictures and records into a folder.
+    """Measures captures that changed, and writes their images and records into a folder.
 
     Parameters
     ----------
@@ -384,7 +384,7 @@ class FolderWorker(Worker[CaptureRecord]):
     out : OutputFolder
         Folder of the run.
     overlays : str
-        Kind of the pictures, as in `BatchOptions`.
+        Kind of the images, as in `BatchOptions`.
     """
 
     def __init__(self, measurer: Measurer, out: OutputFolder, overlays: Overlays = "png") -> None:
@@ -443,7 +443,7 @@ class FolderWorker(Worker[CaptureRecord]):
         return Outcome(record, tuple(failures))
 
     def draw(self, result: CaptureResult) -> str:
-        """Write the annotated picture, and return its name in the folder; empty without one."""
+        """Write the annotated image, and return its name in the folder; empty without one."""
         import cv2
 
         from cucumbervision.run.overlay import draw_overlay

@@ -249,7 +249,7 @@ class Work:
     def detect(
         self, files: Sequence[tuple[str, BinaryIO]], has_left: Callable[[], bool] = never
     ) -> DetectReply:
-        """Find the fruit in uploaded pictures, without lengths; stop if the client has left.
+        """Find the fruit in uploaded images, without lengths; stop if the client has left.
 
         Raises
         ------
@@ -276,7 +276,7 @@ def _outcomes(
 
 
 def _read(path: Path, name: str, stream: BinaryIO) -> Capture:
-    """Read an uploaded picture; it is stored under a generated name meanwhile."""
+    """Read an uploaded image; it is stored under a generated name meanwhile."""
     try:
         path.write_bytes(stream.read())
         return replace(read_picture(path, name), source=name)

@@ -32,7 +32,7 @@ class ServiceError(CucumberVisionError):
 
 
 class Client:
-    """Sends captures and pictures to a service, and returns the results.
+    """Sends captures and images to a service, and returns the results.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ class Client:
         return self._ask("/measure", files)
 
     def detect(self, *pictures: Path) -> dict[str, Any]:
-        """Find fruit in pictures.
+        """Find fruit in images.
 
         Returns
         -------

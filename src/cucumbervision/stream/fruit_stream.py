@@ -609,7 +609,7 @@ class FruitStream:
             return True
         if before.timestamp_s is not None and capture.timestamp_s is not None:
             return False
-        # Without times, only the pictures show how far the camera moved.
+        # Without times, only the images show how far the camera moved.
         return math.isinf(moved_px(before.color, [capture.color])[0])
 
     def _own_time(self, received_s: float) -> float:

@@ -231,7 +231,7 @@ def test_an_outline_that_jumps_ends_early_or_is_loose_is_told() -> None:
 def test_depth_whose_holes_were_averaged_in_is_flagged(share: float, side_px: int) -> None:
     capture = capsule_capture(lying(0.16, distance_m=0.5))
     is_hole = np.random.default_rng(3).random(capture.depth_m.shape) < share
-    averaged_m = cv2.blur(np.where(is_hole, 0, capture.depth_m), (side_px, side_px))
+    averaged_m = np.asarray(cv2.blur(np.where(is_hole, 0, capture.depth_m), (side_px,) * 2), float)
     assert Flag.DEPTH_UNALIGNED in doubts(with_depth(capture, averaged_m))
 
 

@@ -29,10 +29,10 @@ from cucumbervision.methods.intervals import (
     read_interval_models,
     shipped_interval_models,
 )
-from cucumbervision_lab.cli.screen import part_bars
+from cucumbervision_lab.cli import part_bars
 from cucumbervision_lab.data.checks import open_dataset
 from cucumbervision_lab.processes import kept_rows
-from cucumbervision_lab.train.measured_ends import MeasuredFruit, measure_drawn
+from cucumbervision_lab.train.end_crops import MeasuredFruit, measure_drawn
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -9,7 +9,7 @@ import numpy as np
 
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision_lab.scenes.raycast import Stem, cast_stem
+from cucumbervision_lab.scenes.scene import Stem, cast_stem
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

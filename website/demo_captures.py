@@ -12,8 +12,7 @@ import numpy as np
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision_lab.scenes.bodies import Tube, arc_tube, rotation
 from cucumbervision_lab.scenes.placing import foliage
-from cucumbervision_lab.scenes.raycast import Plane, Stem
-from cucumbervision_lab.scenes.scene import Scene
+from cucumbervision_lab.scenes.scene import Plane, Scene, Stem
 
 CAMERA = Intrinsics(848, 480, 616.4, 616.2, 424.3, 239.6)  # a D435's colour camera at 848x480
 _BENCH_M = 0.522

@@ -5,9 +5,8 @@ from __future__ import annotations
 import json
 import multiprocessing
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -18,59 +17,16 @@ from cucumbervision.run.batch import end_with_parent
 from cucumbervision_lab.arrays import Progress
 
 Job = TypeVar("Job")
-Result = TypeVar("Result")
-
-
-def each_done(
-    function: Callable[[Job], Result], jobs: Sequence[Job], workers: int
-) -> Iterator[Result]:
-    """Yield the results of a function for each job as they complete.
-
-    Parameters
-    ----------
-    function : callable
-        Function that can be pickled; runs with one OpenCV thread per process.
-    jobs : sequence
-        Arguments of the calls.
-    workers : int
-        Number of processes. With one worker or one job, everything runs in this process, in order.
-
-    Yields
-    ------
-    object
-        A result. No further job is started after an error or an interruption.
-
-    Examples
-    --------
-    >>> list(each_done(str, [1, 2], workers=1))
-    ['1', '2']
-    """
-    if workers <= 1 or len(jobs) <= 1:
-        yield from map(function, jobs)
-        return
-    # Forking a process with OpenCV or torch threads may deadlock.
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, context, _begin_worker) as pool:
-        waiting = [pool.submit(function, job) for job in jobs]
-        try:
-            for job in as_completed(waiting):
-                yield job.result()
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
-
-
-def _begin_worker() -> None:
-    cv2.setNumThreads(1)
-    threading.Thread(target=end_with_parent, daemon=True).start()
+Rows = list[dict[str, Any]]
 
 
 def kept_rows(
     file: Path,
     jobs: Mapping[str, Job],
-    function: Callable[[Job], list[dict[str, Any]]],
+    function: Callable[[Job], Rows],
     workers: int = 1,
     progress: Progress | None = None,
-) -> list[dict[str, Any]]:
+) -> Rows:
     """Return the rows that a function gives for each job; those in a file are not computed again.
 
     Parameters
@@ -83,7 +39,7 @@ def kept_rows(
     function : callable
         Function that can be pickled; gives rows of JSON values.
     workers : int
-        Number of processes.
+        Number of processes, each with one OpenCV thread; with one, all runs in this process.
     progress : callable, optional
         Called with the number of jobs finished since the last call.
 
@@ -103,16 +59,16 @@ def kept_rows(
     """
     file.parent.mkdir(parents=True, exist_ok=True)
     text = file.read_text(encoding="utf-8") if file.exists() else ""
-    rows: dict[str, list[dict[str, Any]]] = {}
+    rows: dict[str, Rows] = {}
     for number, line in enumerate(text.split("\n")[:-1], 1):
         with wrap_reader_errors(f"{file}, line {number}", DataSetError, "delete the file"):
             content = json.loads(line)
             rows[content["picture"]] = content["fruit"]
     file.write_text(text[: text.rfind("\n") + 1], encoding="utf-8")
-    missing = [job for job in jobs.items() if job[0] not in rows]
+    missing = {name: job for name, job in jobs.items() if name not in rows}
     if progress is not None and len(missing) < len(jobs):
         progress(len(jobs) - len(missing))
-    for name, made in each_done(partial(_named, function), missing, workers):
+    for name, made in _each_done(function, missing, workers):
         rows[name] = made
         with file.open("a", encoding="utf-8") as stream:
             stream.write(json.dumps({"picture": name, "fruit": made}) + "\n")
@@ -121,7 +77,24 @@ def kept_rows(
     return [row for name in jobs for row in rows[name]]
 
 
-def _named(
-    function: Callable[[Job], list[dict[str, Any]]], job: tuple[str, Job]
-) -> tuple[str, list[dict[str, Any]]]:
-    return job[0], function(job[1])
+def _each_done(
+    function: Callable[[Job], Rows], jobs: Mapping[str, Job], workers: int
+) -> Iterator[tuple[str, Rows]]:
+    """Yield the name and the rows of each job as it completes; the first error ends them all."""
+    if workers <= 1 or len(jobs) <= 1:
+        yield from ((name, function(job)) for name, job in jobs.items())
+        return
+    # Forking a process with OpenCV or torch threads may deadlock.
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(workers, context, _begin_worker) as pool:
+        calls = {pool.submit(function, job): name for name, job in jobs.items()}
+        try:
+            for call in as_completed(calls):
+                yield calls[call], call.result()
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _begin_worker() -> None:
+    cv2.setNumThreads(1)
+    threading.Thread(target=end_with_parent, daemon=True).start()

@@ -42,7 +42,9 @@ def test_evaluate_prints_a_table_and_writes_files(run: Run, folder: Path, tmp_pa
     assert "a standard deviation of 0.7" in done.stdout
     assert "16 measurements of 8 fruit" in done.stdout
     assert "Some of these captures are simulated" in done.stdout
-    assert {p.name for p in tmp_path.iterdir()} == {"scores.csv", "lengths.csv"}
+    files = {path.name for path in tmp_path.iterdir()}
+    assert {"scores.csv", "lengths.csv", "agreement.csv"} <= files
+    assert "Agreement with hand-measured lengths" in done.stdout
     with (tmp_path / "scores.csv").open(encoding="utf-8-sig", newline="") as stream:
         m5 = next(score for score in csv.DictReader(stream) if score["method"] == "M5")
     assert (m5["kind"], m5["fruit"], m5["measured"]) == ("centreline", "8", "1.0")

@@ -14,8 +14,7 @@ from cucumbervision.networks.keypoint_axis import (
     keypoints_between,
     place_keypoints,
 )
-from cucumbervision_lab.scenes.bodies import random_fruit
-from cucumbervision_lab.scenes.placing import place_hanging
+from cucumbervision_lab.scenes.bodies import random_fruit, rotation
 from cucumbervision_lab.scenes.scene import Scene, truth_of
 
 CAMERA = Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0)
@@ -35,7 +34,7 @@ def _level(first_px: float, last_px: float, v_px: float = 20.0) -> np.ndarray:
 @pytest.mark.parametrize("seed", range(6))
 def test_points_of_a_network_come_nearer_on_the_axis(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    body = place_hanging(random_fruit(rng, 0.25), (0.0, 0.0, 0.6), roll_deg=-90 + rng.normal(0, 10))
+    body = random_fruit(rng, 0.25).moved(rotation(-90 + rng.normal(0, 10)), (0.0, 0.0, 0.6))
     (truth,) = truth_of(Scene((body,)), CAMERA)
     true = truth.keypoints_px
     # 25 cm are 250 px here; a network errs by 4 % of the length along the fruit.

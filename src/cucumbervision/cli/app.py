@@ -40,7 +40,7 @@ app.command("demo", epilog=EXIT_CODES)(measure.demo)
 app.command("serve")(live.serve)
 app.command("schema")(live.schema)
 app.command("calibrate")(own_truth.calibrate)
-_GROUPS = {"crop": models.crops, "evaluate": own_truth.app, "models": models.app}
+_GROUPS = {"crop": models.crops, "models": models.app}
 for _name, _group in _GROUPS.items():
     app.add_typer(_group, name=_name)
 for _further in installed(_COMMANDS):

@@ -1,4 +1,4 @@
-"""`cucumbervision evaluate lengths` and `calibrate`: hand-measured fruit, or a printed grid."""
+"""`cucumbervision calibrate`: corrections by hand-measured fruit, or by a printed grid."""
 
 from __future__ import annotations
 
@@ -110,49 +110,3 @@ def _formula_and_interval(entry: CorrectionEntry) -> dict[str, object]:
     offset = f" {100 * entry.offset_m:+.2f} cm" if entry.form == "scale+offset" else ""
     formula = "none" if entry.form == "none" else f"x {entry.scale:.4f}{offset}"
     return {"formula": formula, "half_width_percent": None if half is None else 100 * half}
-
-
-app = typer.Typer(
-    name="evaluate",
-    help="Compare lengths, or the networks, with ground truth.",
-    no_args_is_help=True,
-)
-
-
-@app.callback()
-def _evaluate() -> None:
-    """Compare lengths, or the networks, with ground truth."""
-
-
-@app.command()
-def lengths(
-    measurements: Annotated[
-        Path, typer.Argument(help="Folder of a `measure` run, or its measurements.json or .csv.")
-    ],
-    truth: Annotated[
-        Path,
-        typer.Argument(
-            help="CSV: capture, fruit, length_cm, kind (thread, centreline or chord); optionally "
-            "specimen, repeat, length_1_cm, length_2_cm …"
-        ),
-    ],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the tables.")],
-) -> None:
-    """Compare every method with hand-measured lengths: a table, and CSV files in the folder."""
-    from cucumbervision.accuracy.own_truth import (
-        evaluate_lengths,
-        read_measured,
-        scores_table,
-        write_own_truth,
-    )
-    from cucumbervision.accuracy.truth import read_truth
-    from cucumbervision.cli.console import print_table, screen
-
-    measured, table = read_measured(measurements), read_truth(truth)
-    evaluation = evaluate_lengths(measured, table)
-    console = screen(150)
-    print_table(console, scores_table(evaluation.scores))
-    for note in evaluation.notes:
-        console.print(note, soft_wrap=True)
-    write_own_truth(evaluation, out)
-    console.print(f"The tables are in {out}/", soft_wrap=True)

@@ -1,18 +1,21 @@
-"""Commands of the laboratory, registered through an entry point."""
+"""Commands of the laboratory, registered through an entry point, and what they print."""
 
 from __future__ import annotations
 
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Iterable, Iterator, Mapping
 
     import typer
+    from rich.progress import TaskID
 
-__all__ = ["register"]
+    from cucumbervision.accuracy.statistics import ReportTable
+    from cucumbervision_lab.arrays import Progress
 
 
-def register(program: typer.Typer, groups: Mapping[str, typer.Typer]) -> None:
+def register(program: typer.Typer, groups: Mapping[str, typer.Typer]) -> None:  # noqa: ARG001
     """Register the laboratory's commands.
 
     Parameters
@@ -20,7 +23,7 @@ def register(program: typer.Typer, groups: Mapping[str, typer.Typer]) -> None:
     program : typer.Typer
         The command `cucumbervision`.
     groups : mapping of str to typer.Typer
-        Its command groups; `evaluate` gets two commands.
+        Its command groups.
     """
     from cucumbervision_lab.cli import data, evaluate, train
 
@@ -28,5 +31,59 @@ def register(program: typer.Typer, groups: Mapping[str, typer.Typer]) -> None:
     program.command("synth")(data.synth)
     program.add_typer(data.app, name="data")
     program.add_typer(train.app, name="train")
-    groups["evaluate"].command("models")(evaluate.evaluate_models)
-    groups["evaluate"].command("photos")(evaluate.evaluate_photos)
+    program.add_typer(evaluate.app, name="evaluate")
+
+
+@contextmanager
+def ticking(what: str, total: int | None = None) -> Iterator[Progress]:
+    """Show a progress bar; yields a function that is called with the number of completed steps."""
+    from rich.console import Console
+
+    from cucumbervision.cli.console import progress_bar
+
+    with progress_bar(Console(stderr=True, highlight=False)) as bar:
+        task = bar.add_task(what, total=total)
+        yield lambda count: bar.advance(task, count)
+
+
+@contextmanager
+def part_bars() -> Iterator[Callable[[str, int, int], None]]:
+    """Show a progress bar for each step of a long run, on a terminal only.
+
+    Yields
+    ------
+    callable
+        Called with the name of the step, the number of finished items since the last call, and
+        their total.
+    """
+    from rich.console import Console
+
+    from cucumbervision.cli.console import progress_bar
+
+    tasks: dict[str, TaskID] = {}
+    with progress_bar(Console(stderr=True)) as bar:
+
+        def report(name: str, count: int, total: int) -> None:
+            if name not in tasks:
+                tasks[name] = bar.add_task(name, total=total)
+            bar.advance(tasks[name], count)
+
+        yield report
+
+
+def show_tables(tables: Iterable[ReportTable]) -> None:
+    """Print the tables of a report."""
+    from cucumbervision.cli.console import print_table, screen
+
+    console = screen(150)
+    for table in tables:
+        print_table(console, table)
+
+
+def show(*lines: object, error: bool = False) -> None:
+    """Print lines without wrapping and markup."""
+    from rich.console import Console
+
+    console = Console(stderr=error, highlight=False)
+    for line in lines:
+        console.print(str(line), soft_wrap=True, markup=False)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cucumbervision_lab.cli.screen import show, ticking
+from cucumbervision_lab.cli import show, ticking
 
 if TYPE_CHECKING:
     from cucumbervision_lab.data.labels import DataSet
@@ -32,34 +32,19 @@ OutOrSame = Annotated[
     typer.Option("--out", "-o", help="New output folder; by default the set is changed in place."),
 ]
 
-_WIDE = 500  # columns in files and pipes, for one line per finding
-
 
 @app.command()
 def check(folder: Folder, names: Names = "") -> None:
     """List all faults of a data set; the exit code is 1 if there are any."""
-    from rich.table import Table
-    from rich.text import Text
-
-    from cucumbervision.cli.console import screen
     from cucumbervision_lab.data.checks import check_dataset
 
     dataset = _open(folder, names)
     with ticking("looking") as tick:
         findings = check_dataset(dataset, progress=tick)
-    console = screen(_WIDE)
-    if findings:
-        table = Table("where", "fault", "remedy")
-        table.title, table.title_justify = f"Faults of {folder}", "left"
-        for column in table.columns:
-            column.overflow = "fold"
-        for finding in findings:
-            cells = (finding.source, finding.message, finding.remedy)
-            table.add_row(*(Text(str(cell)) for cell in cells))
-        console.print(table)
+    show(*findings)
     fruit = sum(len(p.labels) for p in dataset.pictures)
     faults = f"{len(findings)} faults" if findings else "no fault"
-    console.print(f"{len(dataset.pictures)} pictures, {fruit} labels, {faults}.")
+    show(f"{len(dataset.pictures)} pictures, {fruit} labels, {faults}.")
     raise typer.Exit(1 if findings else 0)
 
 
@@ -217,15 +202,15 @@ def from_store(
     from cucumbervision_lab.data.derive import dataset_from_store
 
     with open_store(store, create=False) as opened:
-        made = dataset_from_store(opened, out, licence=licence)
+        dataset, judged, lost = dataset_from_store(opened, out, licence=licence)
     columns = ("accepted", "corrected", "added", "rejected", "unjudged")
     table = Table("split", "pictures", *columns, title=f"{out}: what was judged")
-    for split, judgement in made.judged.items():
+    for split, judgement in judged.items():
         counts = [str(judgement[column]) for column in columns]
-        table.add_row(split, str(len(made.dataset.in_split(split))), *counts)
+        table.add_row(split, str(len(dataset.in_split(split))), *counts)
     screen().print(table)
-    if made.without_picture:
-        show(f"{made.without_picture} reviewed captures skipped: their pictures were not kept")
+    if lost:
+        show(f"{lost} reviewed captures skipped: their pictures were not kept")
 
 
 def _list(names: str) -> list[str]:

@@ -1,15 +1,15 @@
-"""`cucumbervision benchmark`, and `evaluate models` and `photos`: the methods and the networks."""
+"""`cucumbervision benchmark` and `evaluate`: lengths, methods, networks and forecasts."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from cucumbervision.cli.choices import InputSize, Runtime
 from cucumbervision.networks import DEFAULT_CONFIDENCE
-from cucumbervision_lab.cli.screen import part_bars, show, show_tables, ticking
+from cucumbervision_lab.cli import part_bars, show, show_tables, ticking
 
 Seg = Annotated[
     Path | None, typer.Option(help="YOLO segmentation .onnx; default: the packaged network.")
@@ -20,6 +20,54 @@ Confidence = Annotated[
 ]
 
 
+app = typer.Typer(
+    name="evaluate",
+    help="Compare lengths, or the networks, with ground truth.",
+    no_args_is_help=True,
+)
+
+
+@app.command()
+def lengths(
+    measurements: Annotated[
+        Path, typer.Argument(help="Folder of a `measure` run, or its measurements.json or .csv.")
+    ],
+    truth: Annotated[
+        Path,
+        typer.Argument(
+            help="CSV: capture, fruit, length_cm, kind (thread, centreline or chord); optionally "
+            "specimen, repeat, length_1_cm, length_2_cm …"
+        ),
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the tables.")],
+) -> None:
+    """Compare every method with hand-measured lengths: tables, CSV files, a Bland-Altman plot."""
+    from cucumbervision.accuracy import own_truth
+    from cucumbervision.accuracy.truth import read_truth
+    from cucumbervision.files import write_csv
+    from cucumbervision_lab import agreement
+
+    measured = own_truth.read_measured(measurements)
+    evaluation = own_truth.evaluate_lengths(measured, read_truth(truth))
+    own_truth.write_own_truth(evaluation, out)
+    rows, hidden = (
+        agreement.agreement_rows(evaluation),
+        agreement.hidden_table(measured, evaluation),
+    )
+    tables = [own_truth.scores_table(evaluation.scores)]
+    if rows:
+        write_csv(out / "agreement.csv", list(rows[0]), rows)
+        tables.append(agreement.agreement_table(evaluation))
+    show_tables([*tables, hidden] if hidden.rows else tables)
+    show(*evaluation.notes)
+    try:
+        agreement.plot_agreement(evaluation, out)
+    except ImportError:
+        show("For the Bland-Altman plot: pip install 'cucumbervision[benchmark]'")
+    show(f"The tables are in {out}/")
+
+
+@app.command("models")
 def evaluate_models(
     data: Annotated[
         Path, typer.Argument(help="Labelled pictures: folder with annotations.json, or COCO JSON.")
@@ -43,28 +91,22 @@ def evaluate_models(
 ) -> None:
     """Evaluate the networks on labelled pictures: precision, recall, keypoints, masks, lengths."""
     from cucumbervision.networks.yolo import parse_input_sizes
+    from cucumbervision_lab.evaluate.pictures import open_networks, read_held_out
     from cucumbervision_lab.evaluate.report import detection_tables, write_detection_report
     from cucumbervision_lab.evaluate.scenes import evaluate_detection
 
-    with part_bars() as report:
-        result = evaluate_detection(
-            data,
-            seg,
-            pose,
-            segmenter=None if segmenter == "none" else segmenter,
-            runtime=runtime,
-            confidence=confidence,
-            split=split,
-            limit=limit,
-            sam_limit=sam_limit,
-            input_sizes=parse_input_sizes(input_size),
-            report=report,
-        )
+    pictures = read_held_out(data, split, limit)
+    how: dict[str, Any] = {"runtime": runtime, "confidence": confidence}
+    sam, sizes = None if segmenter == "none" else segmenter, parse_input_sizes(input_size)
+    networks = open_networks(seg, pose, sam, input_sizes=sizes, **how)
+    with ticking("pictures", len(pictures.pictures)) as tick:
+        result = evaluate_detection(pictures, networks, sam_limit, tick)
     tables = detection_tables(result)
     show_tables(tables)
     show(f"Results: {write_detection_report(result, tables, out)}")
 
 
+@app.command("photos")
 def evaluate_photos(
     folder: Annotated[
         Path, typer.Argument(help="Folder of the audited photos, searched recursively.")
@@ -79,21 +121,15 @@ def evaluate_photos(
 ) -> None:
     """Evaluate the networks on audited real photos: recall and precision by test."""
     from cucumbervision.networks.yolo import parse_input_sizes
-    from cucumbervision_lab.evaluate.photos import audited_photos
-    from cucumbervision_lab.evaluate.photos import evaluate_photos as evaluate
     from cucumbervision_lab.evaluate.pictures import open_networks
     from cucumbervision_lab.evaluate.report import photo_tables, write_photo_report
+    from cucumbervision_lab.evaluate.scenes import audited_photos
+    from cucumbervision_lab.evaluate.scenes import evaluate_photos as evaluate
 
     photos, missing = audited_photos(folder, split)
-    networks = open_networks(
-        seg,
-        pose,
-        "mobile-sam",
-        runtime=runtime,
-        confidence=confidence,
-        ranked=False,
-        input_sizes=parse_input_sizes(input_size),
-    )
+    how: dict[str, Any] = {"runtime": runtime, "confidence": confidence}
+    sizes = parse_input_sizes(input_size)
+    networks = open_networks(seg, pose, "mobile-sam", ranked=False, input_sizes=sizes, **how)
     with ticking("photos", len(photos.pictures)) as tick:
         result = evaluate(photos, networks, missing, tick)
     tables = photo_tables(result)
@@ -121,16 +157,21 @@ def benchmark(
         Path | None,
         typer.Option(help="Set from 'synth' with depth, for the intervals of network masks."),
     ] = None,
+    harvests: Annotated[
+        Path | None,
+        typer.Option(
+            help="Forecast the harvests in this folder instead: X_daily.csv and X_weekly.csv."
+        ),
+    ] = None,
 ) -> None:
-    """Measure simulated fruit of known length by every method.
+    """Measure simulated fruit of known length by every method, or forecast harvests.
 
     Includes the paper's 48 captures and five validation fruit with exact, disturbed and perceived
     masks, and a stress set: tilted, bent, occluded, distant, wet and sunlit fruit.
     """
-    from cucumbervision_lab.evaluate.measure_case import require_extra
-
-    require_extra()  # before an hour of measuring
-    from cucumbervision_lab.evaluate import benchmark as run
+    from cucumbervision._version import __version__
+    from cucumbervision.about import installed_versions
+    from cucumbervision_lab.evaluate.benchmark import run_benchmark
     from cucumbervision_lab.evaluate.benchmark_report import benchmark_tables, write_tables
 
     if learn_intervals is not None:
@@ -144,9 +185,17 @@ def benchmark(
             show(f"{key}: {model.bands[''].count} readings")
         show(f"{book.fruit} fruit, level {book.level:.0%}, in {learn_intervals}")
         return
-    plan = run.BenchmarkOptions(quick, stress, workers)
+    about = {"software": f"cucumbervision {__version__}", "versions": installed_versions()}
+    if harvests is not None:
+        from cucumbervision_lab.evaluate.harvests import harvest_tables
+
+        tables = harvest_tables(harvests)
+        show_tables(tables)
+        show(f"Results: {write_tables(out / 'harvests.json', about, tables)}")
+        return
     with part_bars() as report:
-        readings = run.run_benchmark(plan, out, report)
+        readings = run_benchmark(out, quick=quick, stress=stress, workers=workers, report=report)
+    about |= {"stress fruit": stress, "quick": quick}
     tables = benchmark_tables(readings)
     show_tables(tables)
-    show(f"Results: {write_tables(out / 'benchmark.json', run.provenance(plan), tables)}")
+    show(f"Results: {write_tables(out / 'benchmark.json', about, tables)}")

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cucumbervision.cli.choices import InputSize
-from cucumbervision_lab.cli.screen import part_bars, show
+from cucumbervision_lab.cli import part_bars, show
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -242,7 +242,7 @@ def _train_look(
 ) -> Trained:
     """Train the look at ends and learn its intervals; what was measured stays in the folder."""
     from cucumbervision_lab.scenes.covers import read_pieces
-    from cucumbervision_lab.train.end_crops import EndCrops, collect_set
+    from cucumbervision_lab.train.end_crops import collect_set, joined_ends
     from cucumbervision_lab.train.end_look import learn_look_intervals, train_look
 
     pieces = () if leaves is None else read_pieces(leaves)
@@ -251,7 +251,7 @@ def _train_look(
         for number, dataset in enumerate(sets)
     ]
     fruit = [measured for of_set, _ in parts for measured in of_set]
-    crops = EndCrops.joined([of_set for _, of_set in parts])
+    crops = joined_ends([of_set for _, of_set in parts])
     trained = train_look(crops, init, file, options)
     book = file.with_name("interval_models.json")
     behind = learn_look_intervals(fruit, crops, trained.network, book)

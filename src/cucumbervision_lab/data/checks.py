@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -149,17 +148,15 @@ def _split_faults(dataset: DataSet) -> Iterator[DataSetError]:
 
 
 def _scene_leaks(dataset: DataSet) -> Iterator[DataSetError]:
-    first: dict[str, LabelledPicture] = {}
-    reported: set[tuple[str, str]] = set()
+    first: dict[str, dict[str, LabelledPicture]] = {}
     for picture in dataset.pictures:
-        if not picture.scene or not picture.split:
-            continue
-        earlier = first.setdefault(picture.scene, picture)
-        if earlier.split != picture.split and (picture.scene, picture.split) not in reported:
-            reported.add((picture.scene, picture.split))
+        if picture.scene and picture.split:
+            first.setdefault(picture.scene, {}).setdefault(picture.split, picture)
+    for scene, of_splits in first.items():
+        earlier, *others = of_splits.values()
+        for picture in others:
             fault = (
-                f"scene '{picture.scene}' is in {picture.split}, and with {earlier.file} in "
-                f"{earlier.split}"
+                f"scene '{scene}' is in {picture.split}, and with {earlier.file} in {earlier.split}"
             )
             yield DataSetError(fault, source=picture.file, remedy=_BY_SCENE)
 
@@ -178,23 +175,13 @@ def _duplicate_leaks(dataset: DataSet, progress: Progress | None) -> Iterator[Cu
             yield error
         else:
             readable.append(picture)
-    of_copies = dict.fromkeys(_copies_across(readable, prints), "is the same picture as")
+    of_copies = dict.fromkeys(splits.copies(prints), "is the same picture as")
     of_views = dict.fromkeys(_views_across(readable, prints), "shows the same scene as")
     for (i, j), what in sorted((of_views | of_copies).items()):
         picture, copy = readable[j], readable[i]
-        fault = f"in {picture.split} {what} {copy.file} in {copy.split}"
-        yield DataSetError(fault, source=picture.file, remedy=_BY_SCENE)
-
-
-def _copies_across(
-    pictures: Sequence[LabelledPicture], prints: Sequence[splits.Fingerprint]
-) -> Iterator[tuple[int, int]]:
-    index = {split: [k for k, p in enumerate(pictures) if p.split == split] for split in SPLITS}
-    for a, b in combinations(SPLITS, 2):
-        pairs = splits.copies([prints[k] for k in index[a]], [prints[k] for k in index[b]])
-        for i, j in pairs:
-            picture, copy = sorted((index[a][i], index[b][j]))
-            yield picture, copy
+        if picture.split != copy.split:
+            fault = f"in {picture.split} {what} {copy.file} in {copy.split}"
+            yield DataSetError(fault, source=picture.file, remedy=_BY_SCENE)
 
 
 def _views_across(

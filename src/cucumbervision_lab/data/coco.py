@@ -8,7 +8,7 @@ and read the file as COCO with keypoints.
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -37,8 +37,6 @@ from cucumbervision_lab.data.labels import (
 
 ANNOTATIONS = "annotations.json"
 
-FRAGMENTS = "fragments"
-"""Subfolder of the labels of single pictures."""
 ROBOFLOW = "_annotations.coco.json"
 
 
@@ -102,16 +100,9 @@ def coco_files(path: Path) -> list[tuple[Path, str]]:
 
 
 def _picture(
-    image: LabelledImage,
-    names: Sequence[str],
-    file: Path,
-    split: str = "",
-    root: Path | None = None,
+    image: LabelledImage, names: Sequence[str], file: Path, split: str, root: Path
 ) -> tuple[LabelledPicture, list[InstancesError]]:
-    """Return a labelled picture with the errors of its invalid annotations.
-
-    Without the data set's folder `root`, the file name is not resolved.
-    """
+    """Return a labelled picture with the errors of its invalid annotations."""
     entry = image.entry
     if not entry:
         raise ValueError(f"has {len(image.records)} annotations but is not listed")
@@ -124,7 +115,7 @@ def _picture(
     if entry.get("camera"):
         camera = parse_model(CameraModel, entry["camera"], source=file).intrinsics
     return LabelledPicture(
-        file=name if root is None else _place(name, file.parent, root),
+        file=_place(name, file.parent, root),
         width=width,
         height=height,
         labels=labels,
@@ -144,50 +135,6 @@ def _place(name: str, folder: Path, root: Path) -> str:
         if place.is_file() and place.is_relative_to(root):
             return place.relative_to(root).as_posix()
     return (folder / name).relative_to(root).as_posix()
-
-
-def collect_fragments(folder: Path) -> DataSet:
-    """Read the fragments of a data set in the order of their file names.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of the data set; picture names are relative to it.
-
-    Returns
-    -------
-    DataSet
-        The combined data set; write it with `write_coco(dataset, folder)`. Errors of damaged
-        fragments are listed in `refused`.
-    """
-    pictures: list[LabelledPicture] = []
-    refused: list[CucumberVisionError] = []
-    for file in sorted((folder / FRAGMENTS).glob("*.json")):
-        read = entry_or_error("fragment", file, read_fragment, file)
-        if isinstance(read, InstancesError):
-            refused.append(read)
-        else:
-            pictures.append(read[0])
-            refused += read[1]
-    return DataSet(folder, tuple(pictures), refused=tuple(refused))
-
-
-def read_fragment(file: Path) -> tuple[LabelledPicture, list[InstancesError]]:
-    """Read the labels of one picture that `write_fragment` wrote, with the errors of some.
-
-    Raises
-    ------
-    CucumberVisionError, KeyError, TypeError, ValueError
-        If it is not a fragment.
-    """
-    data = read_json(file)
-    content = {
-        "images": [{**data["image"], "id": 1}],
-        "annotations": [{**item, "image_id": 1} for item in data["annotations"]],
-        "categories": [{"id": 1, "name": "cucumber"}],
-    }
-    (image,) = parse_coco(content, file).pictures
-    return _picture(image, ["cucumber"], file)
 
 
 _DIGITS = 3  # decimal places of pixels, far below the accuracy of labels
@@ -218,48 +165,33 @@ def write_coco(dataset: DataSet, folder: Path, *, progress: Progress | None = No
     pictures = dataset.pictures
     if folder.resolve() != dataset.folder.resolve():
         pictures = _place_all(dataset, folder, progress)
-    images: list[dict[str, Any]] = []
-    annotations: list[dict[str, Any]] = []
-    for number, picture in enumerate(pictures, 1):
-        fragment = _fragment(picture)
-        images.append({"id": number, **fragment["image"]})
-        for item in fragment["annotations"]:
-            annotations.append({"id": len(annotations) + 1, "image_id": number, **item})
-    data = {
-        "info": {"description": "CucumberVision data set", "version": "1"},
-        "categories": _categories(dataset),
-        "images": images,
-        "annotations": annotations,
-    }
-    write_text(folder / ANNOTATIONS, _json(data))
+    write_annotations(map(coco_entries, pictures), dataset.categories, folder)
     return replace(dataset, folder=folder, pictures=tuple(pictures), refused=())
 
 
-def write_fragment(picture: LabelledPicture, file: Path) -> Path:
-    """Write the labels of one picture to a JSON file of its own.
-
-    Intended for parallel generators that may be interrupted: each frame is written atomically, and
-    `collect_fragments` combines them.
-
-    Parameters
-    ----------
-    picture : LabelledPicture
-        The picture; its image file should already exist.
-    file : Path
-        Output file ending in .json, such as `set/fragments/000001.json`.
-
-    Returns
-    -------
-    Path
-        `file`.
+def write_annotations(
+    entries: Iterable[Mapping[str, Any]], categories: Sequence[str], folder: Path
+) -> None:
+    """Write `annotations.json` from the `coco_entries` of its pictures.
 
     Raises
     ------
     DataSetError
-        If the file cannot be written.
+        If the file cannot be written, or a number is not finite.
     """
-    write_text(file, _json(_fragment(picture)))
-    return file
+    images: list[dict[str, Any]] = []
+    annotations: list[dict[str, Any]] = []
+    for number, entry in enumerate(entries, 1):
+        images.append({"id": number, **entry["image"]})
+        for item in entry["annotations"]:
+            annotations.append({"id": len(annotations) + 1, "image_id": number, **item})
+    data = {
+        "info": {"description": "CucumberVision data set", "version": "1"},
+        "categories": _categories(categories),
+        "images": images,
+        "annotations": annotations,
+    }
+    write_text(folder / ANNOTATIONS, _json(data))
 
 
 def _place_all(
@@ -279,7 +211,7 @@ def _place_all(
     return tuple(placed)
 
 
-def _categories(dataset: DataSet) -> list[dict[str, Any]]:
+def _categories(names: Sequence[str]) -> list[dict[str, Any]]:
     return [
         {
             "id": k + 1,
@@ -288,11 +220,12 @@ def _categories(dataset: DataSet) -> list[dict[str, Any]]:
             "keypoints": list(KEYPOINT_NAMES),
             "skeleton": [[a + 1, b + 1] for a, b in SKELETON],
         }
-        for k, name in enumerate(dataset.categories)
+        for k, name in enumerate(names)
     ]
 
 
-def _fragment(picture: LabelledPicture) -> dict[str, Any]:
+def coco_entries(picture: LabelledPicture) -> dict[str, Any]:
+    """Return the entries of a picture in a COCO file: its `image` and its `annotations`."""
     image: dict[str, Any] = {
         "file_name": picture.file,
         "width": picture.width,

@@ -10,7 +10,7 @@ import hashlib
 import json
 import os
 from collections import Counter
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -254,26 +254,9 @@ _STRETCH_M = 1.0
 """Stops of one row within this distance show the same plants, on any day and from either side."""
 
 
-@dataclass(frozen=True, eq=False)
-class StoreSet:
-    """A labelled set exported from a store.
-
-    Parameters
-    ----------
-    dataset : DataSet
-        The exported data set.
-    judged : dict of str to Counter
-        Number of detections that were accepted, corrected, added, rejected and unjudged, by split.
-    without_picture : int
-        Number of reviewed captures skipped because their pictures were not kept.
-    """
-
-    dataset: DataSet
-    judged: dict[str, Counter[str]]
-    without_picture: int = 0
-
-
-def dataset_from_store(store: Store, out: Path, *, licence: str = "") -> StoreSet:
+def dataset_from_store(
+    store: Store, out: Path, *, licence: str = ""
+) -> tuple[DataSet, dict[str, Counter[str]], int]:
     """Export all captures with at least one reviewed detection in COCO format.
 
     Parameters
@@ -285,6 +268,15 @@ def dataset_from_store(store: Store, out: Path, *, licence: str = "") -> StoreSe
         are no longer used are not deleted.
     licence : str
         Licence of the pictures.
+
+    Returns
+    -------
+    dataset : DataSet
+        The exported data set.
+    judged : dict of str to Counter
+        Number of detections that were accepted, corrected, added, rejected and unjudged, by split.
+    without_picture : int
+        Number of reviewed captures skipped because their pictures were not kept.
 
     Raises
     ------
@@ -311,7 +303,7 @@ def dataset_from_store(store: Store, out: Path, *, licence: str = "") -> StoreSe
         )
     dataset = write_coco(DataSet(store.images.folder, tuple(pictures)), out)
     judged = {split: counts[split] for split in SPLITS if split in counts}
-    return StoreSet(dataset, judged, lost)
+    return dataset, judged, lost
 
 
 def split_of_position(place: str, shares: Sequence[float] = _SPLIT_SHARES) -> str:

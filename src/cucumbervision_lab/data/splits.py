@@ -123,22 +123,14 @@ def _hash(grey: Array32) -> int:
     return int.from_bytes(np.packbits(coefficients > np.median(coefficients)).tobytes(), "big")
 
 
-def copies(left: Sequence[Fingerprint], right: Sequence[Fingerprint]) -> list[tuple[int, int]]:
-    """Return pairs of identical pictures, possibly resaved, rotated or mirrored.
-
-    Returns
-    -------
-    list of (int, int)
-        Indices into `left` and `right`.
-    """
-    if not left or not right:
-        return []
-    turned = np.stack([f.hashes for f in right])
+def copies(prints: Sequence[Fingerprint]) -> list[tuple[int, int]]:
+    """Return pairs of identical pictures, possibly resaved, rotated or mirrored, smaller first."""
+    turned = np.array([f.hashes for f in prints], np.uint64).reshape(-1, 8)
     pairs = []
-    for i, fingerprint in enumerate(left):
-        bits = np.bitwise_count(turned ^ fingerprint.hashes[0]).min(axis=1)
-        for j in np.flatnonzero(bits <= _COPY_MOST_BITS).tolist():
-            if float(fingerprint.colors @ right[j].colors) >= 1 - _COPY_MOST_COLOR**2:
+    for i, fingerprint in enumerate(prints):
+        bits = np.bitwise_count(turned[i + 1 :] ^ fingerprint.hashes[0]).min(axis=1)
+        for j in (i + 1 + np.flatnonzero(bits <= _COPY_MOST_BITS)).tolist():
+            if float(fingerprint.colors @ prints[j].colors) >= 1 - _COPY_MOST_COLOR**2:
                 pairs.append((i, j))
     return pairs
 
@@ -371,7 +363,7 @@ def split_by_scene(
     Raises
     ------
     DataSetError
-        If a picture has no scene, or the shares are invalid.
+        If a picture has no scene.
 
     Examples
     --------
@@ -383,11 +375,6 @@ def split_by_scene(
     [28, 6, 6]
     """
     parts = np.array(shares, np.float64)
-    if parts.shape != (3,) or (parts < 0).any() or not np.isclose(parts.sum(), 1) or parts[0] == 0:
-        raise DataSetError(
-            f"invalid shares {':'.join(f'{s:g}' for s in shares)}",
-            remedy="give shares of train, val and test with a sum of 1 and train above 0",
-        )
     bare = [p.file for p in dataset.pictures if not p.scene]
     if bare:
         raise DataSetError(

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from cucumbervision._version import __version__
-from cucumbervision.about import installed_versions
-from cucumbervision.errors import CucumberVisionError, MissingExtraError
+from cucumbervision.errors import MissingExtraError
 from cucumbervision.methods import intervals
 from cucumbervision.methods.result import IntervalBasis
 from cucumbervision.methods.table import AVAILABLE
@@ -308,7 +308,7 @@ KEYS = tuple(TRUTH_OF)
 _LEVEL = 0.90  # nominal coverage
 
 
-def _reading_features(reading: pd.Series[Any]) -> dict[str, float] | None:
+def interval_features(reading: pd.Series[Any]) -> dict[str, float] | None:
     """Return the interval features of a reading; None if it has no interval.
 
     Parameters
@@ -360,7 +360,7 @@ def _fitted_model(key: str, rows: pd.DataFrame, truth: str) -> intervals.Interva
         tube_edges = PERCEIVED_TUBE_EDGES
     names, edges = (TUBE_FEATURES, tube_edges) if tube else (RAW_FEATURES, RAW_EDGES)
     entries = [
-        entry for entry in rows.apply(_reading_features, axis=1).items() if entry[1] is not None
+        entry for entry in rows.apply(interval_features, axis=1).items() if entry[1] is not None
     ]
     rows = rows.loc[[label for label, _ in entries]]
     errors = np.log(rows["length_m"] / rows[truth]).to_numpy()
@@ -372,36 +372,6 @@ def _fitted_model(key: str, rows: pd.DataFrame, truth: str) -> intervals.Interva
     return fit_interval_model(key, errors, features, fruit, _LEVEL, edges)
 
 
-def with_intervals(
-    readings: pd.DataFrame, book: intervals.IntervalModels, *, scale_known: bool = True
-) -> pd.DataFrame:
-    """Add the columns `low_m` and `high_m` to readings, NaN without an interval.
-
-    If the scale is unknown, lengths are multiplied by the camera's depth scale, and the intervals
-    include the scale uncertainty.
-
-    Parameters
-    ----------
-    readings : DataFrame
-        Readings from `readings_frame` with unique row labels.
-    book : IntervalModels
-        Interval models.
-    scale_known : bool
-        Whether the depth scale is exact, as after calibration.
-    """
-    ends = {}
-    for label, reading in readings[readings["method"].isin(KEYS)].iterrows():
-        features = _reading_features(reading)
-        if features is not None:
-            scale = 1.0 if scale_known else reading["depth_scale"]
-            length_m = reading["length_m"] * scale
-            more_sd = 0.0 if scale_known else intervals.SCALE_SD
-            interval = book.interval(reading["method"], length_m, features, more_sd)
-            ends[label] = interval or (np.nan, np.nan)
-    bounds = pd.DataFrame.from_dict(ends, "index", columns=["low_m", "high_m"], dtype=float)
-    return readings.join(bounds)
-
-
 def run_cases(
     cases: Sequence[Case],
     options: CaseOptions,
@@ -409,7 +379,7 @@ def run_cases(
     workers: int = 2,
     report: Progress | None = None,
 ) -> list[Row]:
-    """Measure the cases that are not in the file yet, and return the rows of all cases.
+    """Measure the cases that are not recorded yet, and return the rows of all cases.
 
     Parameters
     ----------
@@ -418,7 +388,8 @@ def run_cases(
     options : CaseOptions
         Measurement options.
     records : Path
-        JSON lines file, to which each finished case is appended immediately.
+        JSON lines file, to which each finished case is appended immediately. Version and options
+        are added to its name, so that others measure anew.
     workers : int
         Number of processes.
     report : callable, optional
@@ -428,24 +399,11 @@ def run_cases(
     -------
     list of Row
         Rows of the cases in their order.
-
-    Raises
-    ------
-    CucumberVisionError
-        If the file was written with other options or by another version.
     """
-    stamp = json.dumps({"version": __version__, "options": asdict(options)})
-    head = records.with_suffix(".run")
-    if records.exists() and not (head.exists() and head.read_text(encoding="utf-8") == stamp):
-        raise CucumberVisionError(
-            "was written with other options or by another version",
-            source=records,
-            remedy="delete it, or choose another --out",
-        )
-    head.parent.mkdir(parents=True, exist_ok=True)
-    head.write_text(stamp, encoding="utf-8")
+    stamp = crc32(json.dumps({"version": __version__, "options": asdict(options)}).encode())
+    file = records.with_name(f"{records.stem}-{stamp:08x}.jsonl")
     jobs = {case.name: case for case in cases}
-    return kept_rows(records, jobs, partial(_measure, options), workers, report)
+    return kept_rows(file, jobs, partial(_measure, options), workers, report)
 
 
 def _measure(options: CaseOptions, case: Case) -> list[Row]:
@@ -459,43 +417,26 @@ def package_finder() -> Finder:
     return Finder(MeasureOptions(instances="models"))
 
 
-@dataclass(frozen=True)
-class BenchmarkOptions:
-    """Options of a benchmark run.
+def run_benchmark(
+    out: Path,
+    *,
+    quick: bool = False,
+    stress: int = 2000,
+    workers: int = 2,
+    report: Callable[[str, int, int], None] | None = None,
+) -> pd.DataFrame:
+    """Run the benchmark, resuming from the records in `out`.
 
     Parameters
     ----------
+    out : Path
+        Folder for the records.
     quick : bool
         Run only a few captures without networks and baselines, for regression tests.
     stress : int
         Number of fruit in the stress set.
     workers : int
         Number of processes.
-    """
-
-    quick: bool = False
-    stress: int = 2000
-    workers: int = 2
-
-
-def plan_cases(plan: BenchmarkOptions) -> tuple[list[Case], list[Case]]:
-    """Return the cases of the paper's protocol and of the stress set."""
-    if plan.quick:
-        return [*paper_cases(7), *validation_cases()[:2]], stress_cases(min(plan.stress, 8))
-    return [*paper_cases(), *validation_cases()], stress_cases(plan.stress)
-
-
-def run_benchmark(
-    plan: BenchmarkOptions, out: Path, report: Callable[[str, int, int], None] | None = None
-) -> pd.DataFrame:
-    """Run the benchmark, resuming from the records in `out`.
-
-    Parameters
-    ----------
-    plan : BenchmarkOptions
-        Options.
-    out : Path
-        Folder for the records.
     report : callable, optional
         Called with the name of the step, the number of cases finished since the last call, and
         their total.
@@ -505,26 +446,17 @@ def run_benchmark(
     DataFrame
         All readings from `readings_frame`.
     """
-    protocol, stress = plan_cases(plan)
     exact_and_disturbed = (Masks.EXACT, Masks.DISTURBED)
-    kinds = exact_and_disturbed if plan.quick else (*exact_and_disturbed, Masks.PERCEIVED)
+    protocol, kinds = [*paper_cases(), *validation_cases()], (*exact_and_disturbed, Masks.PERCEIVED)
+    if quick:
+        protocol, kinds = [*paper_cases(7), *validation_cases()[:2]], exact_and_disturbed
+        stress = min(stress, 8)
 
     def run(name: str, cases: list[Case], options: CaseOptions) -> pd.DataFrame:
-        total = len(cases)
-        tell = None if report is None else (lambda count: report(name, count, total))
-        return readings_frame(run_cases(cases, options, out / f"{name}.jsonl", plan.workers, tell))
+        tell = None if report is None else (lambda count: report(name, count, len(cases)))
+        return readings_frame(run_cases(cases, options, out / f"{name}.jsonl", workers, tell))
 
-    parts = [run("protocol", protocol, CaseOptions(kinds, baselines=not plan.quick))]
+    parts = [run("protocol", protocol, CaseOptions(kinds, baselines=not quick))]
     if stress:
-        parts.append(run("stress", stress, CaseOptions(exact_and_disturbed)))
+        parts.append(run("stress", stress_cases(stress), CaseOptions(exact_and_disturbed)))
     return pd.concat(parts, ignore_index=True)
-
-
-def provenance(plan: BenchmarkOptions) -> dict[str, Any]:
-    """Return the options and versions of a benchmark run."""
-    return {
-        "software": f"cucumbervision {__version__}",
-        "versions": installed_versions(),
-        "stress fruit": plan.stress,
-        "quick": plan.quick,
-    }

@@ -250,17 +250,17 @@ def _group_table(
     return ReportTable.of(f"By {head}, against the {truth}", heads, rows, comment)
 
 
-def span_text(interval: Estimate | tuple[float, float] | None) -> str | None:
-    """Format an interval as text; None without an interval.
+def span_text(span: Estimate, decimals: int = 2, scale: float = 1.0) -> str | None:
+    """Format the interval of an estimate as text; None without an interval.
 
     Examples
     --------
-    >>> span_text((1.0, 2.345))
+    >>> span_text(Estimate(value=1.5, low=1.0, high=2.345, count=9, groups=9))
     '1.00 to 2.35'
     """
-    if isinstance(interval, Estimate):
-        interval = None if np.isnan(interval.low) else (interval.low, interval.high)
-    return None if interval is None else f"{interval[0]:.2f} to {interval[1]:.2f}"
+    if np.isnan(span.low):
+        return None
+    return f"{scale * span.low:.{decimals}f} to {scale * span.high:.{decimals}f}"
 
 
 _SUITES = {

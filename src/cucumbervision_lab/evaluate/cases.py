@@ -14,8 +14,7 @@ from cucumbervision_lab.arrays import Generator, Pixels
 from cucumbervision_lab.scenes.bodies import Tube, random_fruit, rotation, variety_of
 from cucumbervision_lab.scenes.colors import Exposure, expose
 from cucumbervision_lab.scenes.depth_camera import VGA, D4xx, sense
-from cucumbervision_lab.scenes.raycast import Leaf, Plane
-from cucumbervision_lab.scenes.scene import FruitTruth, Scene, View, render, truth_of
+from cucumbervision_lab.scenes.scene import FruitTruth, Leaf, Plane, Scene, View, render, truth_of
 from cucumbervision_lab.scenes.shading import random_style, shade
 from cucumbervision_lab.scenes.textures import Assets
 

@@ -6,10 +6,11 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import cv2
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import dijkstra
 
@@ -25,9 +26,6 @@ from cucumbervision.methods.selector import choose, measure_fruit
 from cucumbervision.methods.table import AVAILABLE, masked_points
 from cucumbervision_lab.arrays import Array, Array32, Generator, Mask
 from cucumbervision_lab.evaluate.cases import Case, Simulated, simulate
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 Find = Callable[[Capture], Sequence[Instance]]
 
@@ -62,11 +60,6 @@ def readings_frame(rows: Iterable[Row]) -> pd.DataFrame:
         Their keys as columns, unknown numbers as NaN; `method` and `length_m` (metres, NaN if the
         method failed) in place of `lengths_m`.
 
-    Raises
-    ------
-    MissingExtraError
-        As `require_extra`.
-
     Examples
     --------
     >>> row = dict.fromkeys(_NUMBERS) | {"case": "a", "lengths_m": {"M1": 0.19, "M6": None}}
@@ -75,9 +68,6 @@ def readings_frame(rows: Iterable[Row]) -> pd.DataFrame:
     0    a     M1      0.19       NaN
     1    a     M6       NaN       NaN
     """
-    require_extra()
-    import pandas as pd
-
     readings = [
         {**row, "method": method, "length_m": length_m}
         for row in rows
@@ -86,18 +76,6 @@ def readings_frame(rows: Iterable[Row]) -> pd.DataFrame:
     with wrap_reader_errors("the records", remedy="run the benchmark again"):
         frame = pd.DataFrame(readings).drop(columns="lengths_m")
         return frame.astype(dict.fromkeys((*_NUMBERS, "length_m"), float))
-
-
-def require_extra() -> None:
-    """Check that pandas is installed.
-
-    Raises
-    ------
-    MissingExtraError
-        If it is not.
-    """
-    if find_spec("pandas") is None:
-        raise MissingExtraError("pandas", "benchmark")
 
 
 _CORRELATION_PX = 12.0

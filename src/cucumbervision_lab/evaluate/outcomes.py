@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -14,17 +14,17 @@ import numpy as np
 import pandas as pd
 
 from cucumbervision.accuracy.statistics import Estimate, share
-from cucumbervision.fruit.masks import box_iou, box_ious, share_inside
+from cucumbervision.fruit.masks import box_iou, box_ious, mask_iou, share_inside
 from cucumbervision_lab.arrays import Array, Mask
-from cucumbervision_lab.evaluate.pictures import Stage, coco_code, code_iou, import_pycocotools
+from cucumbervision_lab.evaluate.pictures import Stage, coco_code, import_pycocotools
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from numpy.typing import ArrayLike, NDArray
 
-    from cucumbervision_lab.data.labels import Label
-    from cucumbervision_lab.evaluate.pictures import Frame
+    from cucumbervision_lab.data.labels import DataSet, Label
+    from cucumbervision_lab.evaluate.pictures import Frame, Networks
 
 
 _MIN_IOU = 0.5
@@ -178,8 +178,8 @@ def fruit_rows(
             place = fruit.long_px, fruit.distance_m, hidden, fruit.cut_off
             overlaps = (math.nan,) * 3
             if by is not None:
-                has_masks = frame.has_masks and fruit.mask_code is not None
-                of_masks = code_iou(fruit.mask_code, by.mask_code) if has_masks else math.nan
+                true = fruit.mask if frame.has_masks else None
+                of_masks = math.nan if true is None else mask_iou(by.mask, true)
                 overlaps = by.score, box_iou(fruit.box, by.box), of_masks
             rows.append((frame.name, frame.scene, k, *place, by is not None, *overlaps))
     return pd.DataFrame(rows, columns=_FRUIT)
@@ -273,6 +273,45 @@ class Score(NamedTuple):
     precision: Estimate | None
 
 
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """A data set, and what the networks detected in it.
+
+    Parameters
+    ----------
+    data : DataSet
+        The evaluated pictures.
+    networks : Networks
+        The networks, with the confidence threshold for recall and precision.
+    frames, small : tuple of Frame
+        Labels and detections of each picture; of photos, also at half size.
+    readings : DataFrame
+        Lengths on true and on predicted masks, see `readings_frame`; may be empty.
+    seconds : mapping of str to list of float
+        Run time of each network for each picture.
+    duration_s : float
+        Total duration.
+    missing : int
+        Number of audited photos that are missing.
+    """
+
+    data: DataSet
+    networks: Networks
+    frames: tuple[Frame, ...]
+    readings: pd.DataFrame = field(default_factory=pd.DataFrame)
+    seconds: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    duration_s: float = 0.0
+    small: tuple[Frame, ...] = ()
+    missing: int = 0
+
+    def score(self, *, small: bool = False, **extras: str) -> Score:
+        """Compute recall and precision of all pictures, or of those with these `extras`."""
+        pairs = zip(self.data.pictures, self.small if small else self.frames, strict=True)
+        frames = [frame for photo, frame in pairs if extras.items() <= photo.extras.items()]
+        threshold = self.networks.confidence
+        return overall(fruit_rows(frames, threshold), detection_rows(frames, threshold))
+
+
 def overall(fruit: pd.DataFrame, detections: pd.DataFrame | None) -> Score:
     """Compute recall and precision of fruit and detections."""
     recall = share(fruit["found"], fruit["scene"].tolist())
@@ -293,13 +332,10 @@ def group_scores(fruit: pd.DataFrame, detections: pd.DataFrame) -> Iterator[tupl
         Property, group and score of each group that is not empty.
     """
     for factor, column, scale, edges in _SCALES:
-        has_precision = column in detections
         for start, end in pairwise(edges):
-            inside = fruit[fruit[column].between(start, end, inclusive="left")]
-            part = (
-                detections[detections[column].between(start, end, inclusive="left")]
-                if has_precision
-                else None
+            inside, part = (
+                rows[rows[column].between(start, end, inclusive="left")] if column in rows else None
+                for rows in (fruit, detections)
             )
             if len(inside) or (part is not None and len(part)):
                 yield factor, _name(start, end, scale), overall(inside, part)
@@ -331,24 +367,12 @@ class IouType(StrEnum):
     KEYPOINTS = "keypoints"
 
 
-@dataclass(frozen=True)
-class AveragePrecision:
-    """COCO average precision of one stage.
+class AveragePrecision(NamedTuple):
+    """COCO average precision: number of labelled fruit, and NaN without any.
 
-    Parameters
-    ----------
-    stage : Stage
-        Stage whose detections are evaluated.
-    iou_type : IouType
-        Boxes, masks or keypoints.
-    fruit : int
-        Number of labelled fruit.
-    map50, map50_95 : float
-        At an overlap of 0.5, and the mean over 0.5, 0.55 … 0.95; NaN without labelled fruit.
+    `map50` is at an overlap of 0.5, `map50_95` the mean over 0.5, 0.55 … 0.95.
     """
 
-    stage: Stage
-    iou_type: IouType
     fruit: int
     map50: float
     map50_95: float
@@ -391,11 +415,9 @@ def average_precision(
         judge.accumulate()
     fruit = sum(np.count_nonzero(np.asarray(e["gtIgnore"]) == 0) for e in judge.evalImgs if e)
     if not fruit:
-        return AveragePrecision(stage, iou_type, 0, math.nan, math.nan)
+        return AveragePrecision(0, math.nan, math.nan)
     precision = judge.eval["precision"]  # axes: overlap threshold, recall, ...
-    return AveragePrecision(
-        stage, iou_type, int(fruit), float(precision[0].mean()), float(precision.mean())
-    )
+    return AveragePrecision(int(fruit), float(precision[0].mean()), float(precision.mean()))
 
 
 def _annotations(

@@ -103,21 +103,6 @@ def coco_code(code: Rle) -> dict[str, Any]:
     return {"size": [code.height, code.width], "counts": code.counts}
 
 
-def code_iou(a: Rle | None, b: Rle | None) -> float:
-    """Return the IoU of two masks; 0 if one is missing or empty.
-
-    Examples
-    --------
-    >>> mask = np.zeros((4, 6), bool)
-    >>> mask[1:3, 2:5] = True
-    >>> code_iou(Rle.of(mask), Rle.of(mask))
-    1.0
-    """
-    if a is None or b is None:
-        return 0.0
-    return float(import_pycocotools().iou([coco_code(a)], [coco_code(b)], [0])[0, 0])
-
-
 def detected_label(instance: Instance, depth_m: Array32 | None = None) -> Label:
     """Return a detection with its mask encoded, which saves memory.
 
@@ -284,6 +269,8 @@ class Networks:
         Orders the keypoints of a pose network that does not.
     models : list of dict
         File, SHA-256 and runtime of each network, for the provenance.
+    input_sizes : tuple of int
+        Long sides of the detector input, pixels; empty for each network's default.
     """
 
     segment: YoloDetector | None
@@ -293,6 +280,7 @@ class Networks:
     models: list[dict[str, Any]] = field(default_factory=list)
     fruit: FruitLooker | None = None
     ends: FruitLooker | None = None
+    input_sizes: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -370,7 +358,8 @@ def open_networks(
     sam = None if segmenter is None else loader.segmenter(segmenter)
     looks = beside and loader.registry.looks_closely and not isinstance(pose, Path)
     fruit = loader.fruit_looker() if looks else None
-    return Networks(detector, points, sam, confidence, loader.models, fruit, loader.stem_looker())
+    stem = loader.stem_looker()
+    return Networks(detector, points, sam, confidence, loader.models, fruit, stem, input_sizes)
 
 
 def detect_picture(
@@ -437,14 +426,10 @@ def detect_picture(
     return PictureResult(frame, instances, seconds)
 
 
-def detect_set(data: DataSet, networks: Networks) -> list[Frame]:
+def detect_set(data: DataSet, networks: Networks) -> tuple[Frame, ...]:
     """Run the networks on every picture of a data set, without depth."""
-    return [
-        detect_picture(
-            frame_of(picture, data, None), read_color(data.path(picture)), networks
-        ).frame
-        for picture in data.pictures
-    ]
+    colors = ((frame_of(p, data, None), read_color(data.path(p))) for p in data.pictures)
+    return tuple(detect_picture(*pair, networks).frame for pair in colors)
 
 
 def _placed(

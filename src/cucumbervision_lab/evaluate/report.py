@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -18,30 +17,11 @@ from cucumbervision.errors import wrap_os_errors
 from cucumbervision.files import write_csv
 from cucumbervision.fruit.instance import LEAST_END_CONFIDENCE
 from cucumbervision.methods.result import LengthDefinition
-from cucumbervision_lab.evaluate.benchmark_report import (
-    accuracy_table,
-    comparable_readings,
-    group_tables,
-    write_tables,
-)
+from cucumbervision_lab.evaluate import benchmark_report, outcomes
 from cucumbervision_lab.evaluate.measure_case import Masks
-from cucumbervision_lab.evaluate.outcomes import (
-    OKS_SIGMA,
-    AveragePrecision,
-    IouType,
-    Score,
-    average_precision,
-    detection_rows,
-    end_rows,
-    fruit_rows,
-    group_scores,
-    overall,
-)
-from cucumbervision_lab.evaluate.photos import PhotoResult
+from cucumbervision_lab.evaluate.outcomes import Evaluation
 from cucumbervision_lab.evaluate.pictures import Stage
-from cucumbervision_lab.evaluate.scenes import DetectionResult
 
-_IOU_TYPES = {IouType.BOXES: "boxes", IouType.MASKS: "masks", IouType.KEYPOINTS: "keypoints"}
 _MOST_FALSE_SHOWN = 60
 _NEAR_M = (0.4, 0.7)
 _LENGTH_COLUMNS = (
@@ -50,37 +30,53 @@ _LENGTH_COLUMNS = (
 )
 
 
-def detection_tables(result: DetectionResult) -> list[ReportTable]:
-    """Return the tables of an evaluation.
-
-    Parameters
-    ----------
-    result : DetectionResult
-        Result of `evaluate_detection`.
-    """
-    frames, confidence = result.frames, result.confidence
-    stages = {str(model.get("task", "")) for model in result.models}
-    asked = [(Stage.SEGMENTED, IouType.BOXES)] if stages & {"segment", "detect"} else []
-    asked += [(Stage.SEGMENTED, IouType.MASKS)] if "segment" in stages else []
+def detection_tables(result: Evaluation) -> list[ReportTable]:
+    """Return the tables of the result of `evaluate_detection`."""
+    frames, confidence = result.frames, result.networks.confidence
+    stages = {str(model.get("task", "")) for model in result.networks.models}
+    asked = [(Stage.SEGMENTED, outcomes.IouType.BOXES)] if stages & {"segment", "detect"} else []
+    asked += [(Stage.SEGMENTED, outcomes.IouType.MASKS)] if "segment" in stages else []
     if "pose" in stages:
-        asked += [(Stage.POSED, IouType.BOXES), (Stage.POSED, IouType.KEYPOINTS)]
-        asked += [(Stage.KEPT, IouType.KEYPOINTS)]
+        asked += [(Stage.POSED, outcomes.IouType.BOXES), (Stage.POSED, outcomes.IouType.KEYPOINTS)]
+        asked += [(Stage.KEPT, outcomes.IouType.KEYPOINTS)]
     comment = (
         f"At confidence {confidence:g}; a hit has a box IoU of at least 0.5. Detections in regions "
         f"to be ignored are not counted. '{Stage.KEPT}' has duplicates merged."
     )
     by_stage = [
-        (str(s), overall(fruit_rows(frames, confidence, s), detection_rows(frames, confidence, s)))
+        (
+            str(s),
+            outcomes.overall(
+                outcomes.fruit_rows(frames, confidence, s),
+                outcomes.detection_rows(frames, confidence, s),
+            ),
+        )
         for s in (Stage.KEPT, *dict.fromkeys(stage for stage, _ in asked))
     ]
-    tables = [_precision_table([average_precision(frames, kind, stage) for stage, kind in asked])]
+    precisions = [
+        (str(stage), kind.name.lower(), *outcomes.average_precision(frames, kind, stage))
+        for stage, kind in asked
+    ]
+    tables = [
+        ReportTable.of(
+            "Average precision",
+            ["network", "of", "fruit", "mAP50:.3", "mAP50-95:.3"],
+            precisions,
+            "Average precision by pycocotools, over all confidences. Keypoints: object keypoint "
+            f"similarity with sigma {outcomes.OKS_SIGMA:g} for all five, scaled by the area of the "
+            "visible mask.",
+        )
+    ]
     tables += [_share_table("Recall and precision", "stage", by_stage, comment)]
-    fruit, detections = fruit_rows(frames, confidence), detection_rows(frames, confidence)
-    groups = list(group_scores(fruit, detections))
+    fruit, detections = (
+        outcomes.fruit_rows(frames, confidence),
+        outcomes.detection_rows(frames, confidence),
+    )
+    groups = list(outcomes.group_scores(fruit, detections))
     for factor in dict.fromkeys(factor for factor, _, _ in groups):
         named = [(group, score) for of_factor, group, score in groups if of_factor == factor]
         tables.append(_share_table(f"By {factor}", "group", named))
-    ends = end_rows(frames, confidence)
+    ends = outcomes.end_rows(frames, confidence)
     tables += [end_table(ends)] if len(ends) else []
     readings = result.readings
     masks = _mask_table(fruit, readings)
@@ -88,25 +84,6 @@ def detection_tables(result: DetectionResult) -> list[ReportTable]:
     if "swapped" in readings:
         tables.append(pose_table(readings))
     return tables + (_length_tables(readings) if len(readings) else [])
-
-
-def _precision_table(precisions: Sequence[AveragePrecision]) -> ReportTable:
-    rows = [
-        (
-            str(precision.stage),
-            _IOU_TYPES[precision.iou_type],
-            precision.fruit,
-            precision.map50,
-            precision.map50_95,
-        )
-        for precision in precisions
-    ]
-    comment = (
-        "Average precision by pycocotools, over all confidences. Keypoints: object keypoint "
-        f"similarity with sigma {OKS_SIGMA:g} for all five, scaled by the visible mask's area."
-    )
-    heads = ["network", "of", "fruit", "mAP50:.3", "mAP50-95:.3"]
-    return ReportTable.of("Average precision", heads, rows, comment)
 
 
 def _mask_table(fruit: pd.DataFrame, readings: pd.DataFrame) -> ReportTable:
@@ -134,12 +111,12 @@ def _length_tables(readings: pd.DataFrame) -> list[ReportTable]:
     for masks, words in ((Masks.EXACT, "true masks"), (Masks.PERCEIVED, "perceived masks")):
         of_masks = readings[readings["masks"] == masks]
         of_parts = [
-            accuracy_table(of_masks, LengthDefinition.CENTRELINE),
-            accuracy_table(of_masks, LengthDefinition.THREAD),
+            benchmark_report.accuracy_table(of_masks, LengthDefinition.CENTRELINE),
+            benchmark_report.accuracy_table(of_masks, LengthDefinition.THREAD),
         ]
         if masks is Masks.PERCEIVED:
-            scored = comparable_readings(of_masks, LengthDefinition.CENTRELINE)
-            of_parts += group_tables(scored, LengthDefinition.CENTRELINE)
+            scored = benchmark_report.comparable_readings(of_masks, LengthDefinition.CENTRELINE)
+            of_parts += benchmark_report.group_tables(scored, LengthDefinition.CENTRELINE)
         tables += [replace(table, title=f"{table.title}, {words}") for table in of_parts]
     return tables
 
@@ -170,11 +147,12 @@ def end_table(frame: pd.DataFrame, title: str = "Ends") -> ReportTable:
                 (name, median.count, median.groups, *_spanned(median, 2), *_spanned(p90, 2))
             )
     value = "–" if math.isnan(swapped.value) else f"{100 * swapped.value:.2f} %"
+    span = benchmark_report.span_text(swapped, 2, 100) or "–"
     comment = (
         "Distance between the true and the found end, in percent of the line through the fruit's "
         "five true keypoints in the picture; found fruit with keypoints. Ends swapped on "
-        f"{value} of {swapped.count} fruit (95 % by scene: {_span(swapped, 2, 100)}); swapped ends "
-        "are not corrected first."
+        f"{value} of {swapped.count} fruit (95 % by scene: {span}); "
+        "swapped ends are not corrected first."
     )
     heads = ["ends", "n", "scenes", "median (% of length)", "95 %"]
     heads += ["90th percentile (% of length)", "95 % by scene"]
@@ -239,8 +217,9 @@ def pose_table(readings: pd.DataFrame) -> ReportTable:
     return ReportTable.of("Poses", heads, cells, comment)
 
 
-def photo_tables(photos: PhotoResult) -> list[ReportTable]:
+def photo_tables(photos: Evaluation) -> list[ReportTable]:
     """Return recall, precision, errors of ends and false positives on real photos."""
+    confidence = photos.networks.confidence
     tests, settings = (
         sorted({photo.extras[name] for photo in photos.data.pictures})
         for name in ("test", "setting")
@@ -252,22 +231,22 @@ def photo_tables(photos: PhotoResult) -> list[ReportTable]:
         named += [(f"half size: {name}", photos.score(small=True, test=name)) for name in tests]
     named += [(f"where: {name}", photos.score(setting=name)) for name in settings]
     comment = (
-        f"At confidence {photos.confidence:g}, on scenes that were never trained on. Whole "
+        f"At confidence {confidence:g}, on scenes that were never trained on. Whole "
         "cucumbers are to be found; a courgette may be, once; anything else is false. Detections "
         "of which half lies in an ignored region are not counted. At half size each photo lies "
         "shrunk in the middle of a grey picture. "
         + f"{len(photos.frames)} photos of {len({x.scene for x in photos.frames})} scenes"
         + (f"; {photos.missing} of the audit's photos are missing." if photos.missing else ".")
     )
-    ends = end_rows(photos.frames, photos.confidence)
+    ends = outcomes.end_rows(photos.frames, confidence)
     tables = [_share_table("Real photos", "photos", named, comment)]
     tables += [end_table(ends, "Ends on real photos")] if len(ends) else []
     return [*tables, _false_table(photos)]
 
 
-def _false_table(photos: PhotoResult) -> ReportTable:
+def _false_table(photos: Evaluation) -> ReportTable:
     """Return the false positives on real photos, most confident first."""
-    rows = detection_rows(photos.frames, photos.confidence)
+    rows = outcomes.detection_rows(photos.frames, photos.networks.confidence)
     false = rows[rows["outcome"] == "false"].sort_values("score", ascending=False, kind="stable")
     cells = [
         (r.picture, r.scene, r.score, f"{r.x1:.0f}, {r.y1:.0f} to {r.x2:.0f}, {r.y2:.0f}")
@@ -278,18 +257,12 @@ def _false_table(photos: PhotoResult) -> ReportTable:
     return ReportTable.of(title, heads, cells, "The photos themselves are not shown.")
 
 
-def _span(span: Estimate, decimals: int = 3, scale: float = 1.0) -> str:
-    if math.isnan(span.low):
-        return "–"
-    return f"{scale * span.low:.{decimals}f} to {scale * span.high:.{decimals}f}"
-
-
-def _spanned(span: Estimate, decimals: int = 3) -> tuple[float, str]:
-    return span.value, _span(span, decimals)
+def _spanned(span: Estimate, decimals: int = 3) -> tuple[float, str | None]:
+    return span.value, benchmark_report.span_text(span, decimals)
 
 
 def _share_table(
-    title: str, first: str, named: Sequence[tuple[str, Score]], comment: str = ""
+    title: str, first: str, named: Sequence[tuple[str, outcomes.Score]], comment: str = ""
 ) -> ReportTable:
     """Return a table of recall and precision by name."""
     heads = [first, "fruit", "scenes", "recall:.3", "95 % by scene", "detections"]
@@ -301,14 +274,10 @@ def _share_table(
 
 
 def _share_cells(share: Estimate | None) -> tuple[Cell, ...]:
-    return (
-        (None, None, None, "–") if share is None else (share.count, share.groups, *_spanned(share))
-    )
+    return (None,) * 4 if share is None else (share.count, share.groups, *_spanned(share))
 
 
-def write_detection_report(
-    result: DetectionResult, tables: Sequence[ReportTable], out: Path
-) -> Path:
+def write_detection_report(result: Evaluation, tables: Sequence[ReportTable], out: Path) -> Path:
     """Write `results.json` with all tables, and CSV files of fruit, detections, ends and lengths.
 
     Raises
@@ -316,17 +285,32 @@ def write_detection_report(
     CucumberVisionError
         If a file cannot be written.
     """
-    frames, confidence = result.frames, result.confidence
-    rows = {
-        "fruit": fruit_rows(frames, confidence),
-        "detections": detection_rows(frames, confidence),
-        "ends": end_rows(frames, confidence),
+    frames, networks = result.frames, result.networks
+    about = {
+        "software": f"cucumbervision {__version__}",
+        "licence": LICENCE,
+        "data set": result.data.folder.name,
+        "split": ", ".join(sorted({picture.split for picture in result.data.pictures})),
+        "pictures": len(frames),
+        "scenes": len({frame.scene for frame in frames}),
+        "fruit to be found": sum(fruit.required for frame in frames for fruit in frame.true),
+        "confidence": networks.confidence,
+        "input sizes (px)": list(networks.input_sizes) or "each network's own",
+        "networks": networks.models,
+        "median seconds a picture": {
+            name: round(float(np.median(values)), 3) for name, values in result.seconds.items()
+        },
+        "duration (s)": round(result.duration_s),
+        "versions": installed_versions(),
+    }
+    rows = _rows(result) | {
+        "ends": outcomes.end_rows(frames, networks.confidence),
         "lengths": result.readings.reindex(columns=_LENGTH_COLUMNS),
     }
-    return _written(out / "results.json", _provenance(result), tables, rows)
+    return _written(out / "results.json", about, tables, rows)
 
 
-def write_photo_report(photos: PhotoResult, tables: Sequence[ReportTable], out: Path) -> Path:
+def write_photo_report(result: Evaluation, tables: Sequence[ReportTable], out: Path) -> Path:
     """Write `photos.json`, `photo_fruit.csv` and `photo_detections.csv`.
 
     Raises
@@ -334,43 +318,28 @@ def write_photo_report(photos: PhotoResult, tables: Sequence[ReportTable], out: 
     CucumberVisionError
         If a file cannot be written.
     """
-    rows = {
-        "photo_fruit": fruit_rows(photos.frames, photos.confidence),
-        "photo_detections": detection_rows(photos.frames, photos.confidence),
+    about = {"confidence": result.networks.confidence}
+    rows = {f"photo_{name}": frame for name, frame in _rows(result).items()}
+    return _written(out / "photos.json", about, tables, rows)
+
+
+def _rows(result: Evaluation) -> dict[str, pd.DataFrame]:
+    evaluated = result.frames, result.networks.confidence
+    return {
+        "fruit": outcomes.fruit_rows(*evaluated),
+        "detections": outcomes.detection_rows(*evaluated),
     }
-    return _written(out / "photos.json", {"confidence": photos.confidence}, tables, rows)
 
 
 def _written(
     path: Path,
     about: Mapping[str, object],
     tables: Sequence[ReportTable],
-    frames: Mapping[str, pd.DataFrame],
+    rows: Mapping[str, pd.DataFrame],
 ) -> Path:
-    write_tables(path, about, tables)
+    benchmark_report.write_tables(path, about, tables)
     with wrap_os_errors("cannot be written", path.parent):
-        for name, frame in frames.items():
-            rows = frame.round(6).astype(object).where(frame.notna(), None)
-            write_csv(path.with_name(f"{name}.csv"), list(frame.columns), rows.to_dict("records"))
+        for name, frame in rows.items():
+            cells = frame.round(6).astype(object).where(frame.notna(), None)
+            write_csv(path.with_name(f"{name}.csv"), list(frame.columns), cells.to_dict("records"))
     return path
-
-
-def _provenance(result: DetectionResult) -> dict[str, Any]:
-    frames = result.frames
-    return {
-        "software": f"cucumbervision {__version__}",
-        "licence": LICENCE,
-        "data set": result.data.name,
-        "split": result.split,
-        "pictures": len(frames),
-        "scenes": len({frame.scene for frame in frames}),
-        "fruit to be found": sum(fruit.required for frame in frames for fruit in frame.true),
-        "confidence": result.confidence,
-        "input sizes (px)": list(result.input_sizes) or "each network's own",
-        "networks": result.models,
-        "median seconds a picture": {
-            name: round(float(np.median(values)), 3) for name, values in result.seconds.items()
-        },
-        "duration (s)": round(result.duration_s),
-        "versions": installed_versions(),
-    }

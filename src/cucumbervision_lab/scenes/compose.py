@@ -15,8 +15,7 @@ from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision_lab.arrays import Array, Generator
 from cucumbervision_lab.scenes import placing
 from cucumbervision_lab.scenes.bodies import SIZES, Tube, Variety, random_fruit, rotation
-from cucumbervision_lab.scenes.raycast import Leaf, Stem
-from cucumbervision_lab.scenes.scene import Scene
+from cucumbervision_lab.scenes.scene import Leaf, Scene, Stem
 
 MOST_FRUIT = 12
 _TRIES = 30
@@ -187,13 +186,9 @@ def _random_hanging(
     z = distance_m * rng.uniform(0.88, 1.2)
     u, v = rng.uniform(0.04, 0.96) * camera.width, rng.uniform(0.06, 0.94) * camera.height
     x, y = (float(r) for r in camera.rays(u, v))
-    return placing.place_hanging(
-        _random_of_variety(rng, variety),
-        (x * z, y * z, z),
-        roll_deg=-90.0 + rng.normal(0, 14),
-        tilt_deg=float(np.clip(rng.normal(0, 20), -65, 65)),
-        spin_deg=rng.uniform(0, 360),
-    )
+    fruit = _random_of_variety(rng, variety)
+    roll, tilt = -90.0 + rng.normal(0, 14), float(np.clip(rng.normal(0, 20), -65, 65))
+    return fruit.moved(rotation(roll, tilt, rng.uniform(0, 360)), (x * z, y * z, z))
 
 
 def _behind(
@@ -201,10 +196,8 @@ def _behind(
 ) -> Scene:
     if fruit:
         return placing.trellis(rng, camera, fruit, behind_m=float(rng.uniform(0.0, 0.25)))
-    stand_in = (
-        placing.place_hanging(_random_of_variety(rng, Variety.MINI), (0.0, 0.0, distance_m)),
-    )
-    return replace(placing.trellis(rng, camera, stand_in), fruit=())
+    stand_in = _random_of_variety(rng, Variety.MINI).moved(rotation(-90.0), (0, 0, distance_m))
+    return replace(placing.trellis(rng, camera, (stand_in,)), fruit=())
 
 
 def _loose_leaves(

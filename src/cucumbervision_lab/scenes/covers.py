@@ -17,7 +17,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from cucumbervision.tube.shape import arc_positions, points_along
-from cucumbervision_lab.scenes.paste import Cutout, softened
+from cucumbervision_lab.scenes.paste import Cutout, placement, softened
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -235,14 +235,9 @@ def _turned(
     rng: np.random.Generator,
 ) -> tuple[Plane, Plane]:
     """Return a piece turned at random, as bright as its surroundings, and its coverage."""
-    height, width = piece.mask.shape
-    scale, turn = side_px / max(height, width), rng.uniform(0, 2 * np.pi)
-    flip = rng.choice([-1.0, 1.0])
-    linear = scale * np.array(
-        [[np.cos(turn) * flip, -np.sin(turn)], [np.sin(turn) * flip, np.cos(turn)]]
-    )
-    shift = centre - linear @ np.array([(width - 1) / 2, (height - 1) / 2])
-    matrix, size = np.column_stack([linear, shift]), (shape[1], shape[0])
+    scale, turn = side_px / max(piece.mask.shape), rng.uniform(0, 2 * np.pi)
+    matrix = placement(piece.mask.shape, centre, scale, turn, rng.choice([-1.0, 1.0]))
+    size = shape[1], shape[0]
     smooth = softened(piece.color, 0.35 / scale) if scale < 0.7 else piece.color.astype(np.float32)
     color = cv2.warpAffine(smooth, matrix, size, borderMode=cv2.BORDER_REPLICATE)
     alpha = cv2.warpAffine(piece.mask.astype(np.float32), matrix, size)

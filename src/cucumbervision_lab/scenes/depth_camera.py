@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
@@ -11,86 +11,33 @@ import numpy as np
 from scipy.special import ndtri
 
 from cucumbervision.capture.intrinsics import Intrinsics, Stream, color_sources
-from cucumbervision_lab.scenes.raycast import ray_grid
-from cucumbervision_lab.scenes.scene import Kind, render
+from cucumbervision_lab.arrays import Array32, Generator, Mask, Pixels
+from cucumbervision_lab.scenes.scene import Kind, ray_grid, render
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from cucumbervision_lab.scenes.scene import Scene, View
 
 _COARSE_SIGMA = 1.5  # least blur on a coarse grid, px, for smooth cubic upsampling
 
 
-@dataclass(frozen=True)
-class Matcher:
-    """Error model of a stereo matcher at depth discontinuities and without texture.
+# Error model of the stereo matcher. Within its window, disparities of one surface are averaged,
+# which blends small steps and flattens narrow bodies.
+_WINDOW_PX, _RANGE_PX = 7.0, 2.0  # standard deviations, of the image and of disparity
+_HOLE_PX = 3.5  # step from which the nearer side loses readings, the farther side at twice that
+_GAP_PX, _GAP_LOST = 2, 0.7  # width of the gap on the farther side, and its share of lost readings
+_BORDER_PX, _BORDER_LOST = 5, 0.16  # on the nearer side; twice that share in the outer half
+_HIDDEN_FILLED = 0.06  # share of what the right imager does not see that reads the farther side
+_THIN_PX, _THIN_LOST = 5, 0.6  # width below which objects are thin, and their lost readings
+_SPECKLE = 0.0003  # share of isolated lost readings
+_CLUMP_PX = 5.0  # size of clustered holes
 
-    Parameters
-    ----------
-    window_px, range_px : float
-        Standard deviations, pixels of the picture and of disparity, of the matching window: within
-        it, disparities of one surface are averaged, which blends small steps and flattens narrow
-        bodies.
-    hole_px : float
-        Disparity step, pixels, above which the nearer side loses readings; the farther side loses
-        them at twice that step.
-    gap_px : int
-        Width of the gap on the farther side, pixels.
-    gap_lost : float
-        Share of invalid pixels in the gap.
-    border_px : int
-        Width, pixels, of the border on the nearer side that loses readings.
-    border_lost : float
-        Share of invalid pixels in this border; twice that in its outer half.
-    hidden_filled : float
-        Share of pixels occluded in the right imager that return the farther side instead.
-    thin_px : int
-        Width in pixels below which objects count as thin.
-    thin_lost : float
-        Share of invalid pixels on thin objects.
-    speckle : float
-        Share of isolated invalid pixels.
-    clump_px : float
-        Size of clustered holes, pixels.
-    """
-
-    window_px: float = 7.0
-    range_px: float = 2.0
-    hole_px: float = 3.5
-    gap_px: int = 2
-    gap_lost: float = 0.7
-    border_px: int = 5
-    border_lost: float = 0.16
-    hidden_filled: float = 0.06
-    thin_px: int = 5
-    thin_lost: float = 0.6
-    speckle: float = 0.0003
-    clump_px: float = 5.0
+_BASELINE_M = 0.050  # between the imagers of a D435
+_COLOR_OFF_M = (0.015, 0.0, 0.0)  # position of the depth camera as the colour camera sees it
+_CORRELATION_PX = 5.0  # standard deviation of the Gaussian filter of the noise
+_MIN_Z_M = 0.28
 
 
-@dataclass(frozen=True, eq=False)
-class Matched:
-    """Matching result shared by all frames of a burst.
-
-    Parameters
-    ----------
-    disparity_px : ndarray of float32, shape (H, W)
-        Disparity without noise.
-    valid : ndarray of bool, shape (H, W)
-        Pixels with a reading in most frames.
-    unsure : ndarray of bool, shape (H, W)
-        Pixels near discontinuities whose readings flicker.
-    """
-
-    disparity_px: NDArray[np.float32]
-    valid: NDArray[np.bool_]
-    unsure: NDArray[np.bool_]
-
-
-def smooth_field(
-    shape: tuple[int, ...], sigma_px: float, rng: np.random.Generator
-) -> NDArray[np.float32]:
+def smooth_field(shape: tuple[int, ...], sigma_px: float, rng: Generator) -> Array32:
     """Generate smooth Gaussian noise with mean 0 and standard deviation 1.
 
     Parameters
@@ -127,7 +74,7 @@ def smooth_field(
     return np.asarray(field * strength, np.float32)
 
 
-def _hidden_from_right(disparity_px: NDArray[np.float32]) -> NDArray[np.bool_]:
+def _hidden_from_right(disparity_px: Array32) -> Mask:
     """Return the pixels of the left imager that are occluded in the right imager.
 
     A point at column x appears at x - d in the right imager. It is occluded if a point further
@@ -137,7 +84,7 @@ def _hidden_from_right(disparity_px: NDArray[np.float32]) -> NDArray[np.bool_]:
     Parameters
     ----------
     disparity_px : ndarray of float32, shape (H, W)
-        Disparity in the left imager.
+        Array32 in the left imager.
 
     Examples
     --------
@@ -153,52 +100,52 @@ def _hidden_from_right(disparity_px: NDArray[np.float32]) -> NDArray[np.bool_]:
     return hidden
 
 
-def match(disparity_px: NDArray[np.float32], matcher: Matcher, rng: np.random.Generator) -> Matched:
-    """Simulate a stereo matcher on exact disparity, without noise.
+def match(disparity_px: Array32, rng: Generator) -> tuple[Array32, Mask, Mask]:
+    """Simulate a stereo matcher on exact disparity, without noise, as all frames of a burst share.
 
     Parameters
     ----------
     disparity_px : ndarray of float32, shape (H, W)
         Exact disparity; 0 for no object.
-    matcher : Matcher
-        Error model.
     rng : numpy.random.Generator
         Random generator.
 
     Returns
     -------
-    Matched
-        Result shared by a burst.
+    disparity_px : ndarray of float32, shape (H, W)
+        Array32 without noise.
+    valid, unsure : ndarray of bool, shape (H, W)
+        Pixels with a reading in most frames, and pixels near discontinuities whose readings
+        flicker.
     """
-    side = 2 * round(1.5 * matcher.window_px) + 1
-    smooth = cv2.bilateralFilter(disparity_px, side, matcher.range_px, matcher.window_px)
+    side = 2 * round(1.5 * _WINDOW_PX) + 1
+    smooth = cv2.bilateralFilter(disparity_px, side, _RANGE_PX, _WINDOW_PX)
     read = np.asarray(smooth, np.float32)
-    clump = smooth_field(read.shape, matcher.clump_px / 2, rng)
-    step = np.float32(matcher.hole_px)
-    gap = cv2.dilate(read, _disc(matcher.gap_px)) - read > 2 * step
-    lost = gap & (clump < _quantile(matcher.gap_lost))
+    clump = smooth_field(read.shape, _CLUMP_PX / 2, rng)
+    step = np.float32(_HOLE_PX)
+    gap = cv2.dilate(read, _disc(_GAP_PX)) - read > 2 * step
+    lost = gap & (clump < _quantile(_GAP_LOST))
     outer, border = (
-        read - cv2.erode(read, _disc(width)) > step
-        for width in (matcher.border_px // 2, matcher.border_px)
+        read - cv2.erode(read, _disc(width)) > step for width in (_BORDER_PX // 2, _BORDER_PX)
     )
-    lost |= border & (clump < _quantile(matcher.border_lost))
-    lost |= outer & (clump < _quantile(2 * matcher.border_lost))
+    lost |= border & (clump < _quantile(_BORDER_LOST))
+    lost |= outer & (clump < _quantile(2 * _BORDER_LOST))
     hidden = _hidden_from_right(read)
-    lost |= hidden & (clump < _quantile(1 - matcher.hidden_filled))
-    lost |= _thin(disparity_px, matcher) & (clump < _quantile(matcher.thin_lost))
-    lost |= rng.random(read.shape, dtype=np.float32) < matcher.speckle
-    return Matched(read, ~lost & (disparity_px > 0) & (read > 0), border)
+    lost |= hidden & (clump < _quantile(1 - _HIDDEN_FILLED))
+    lost |= _thin(disparity_px) & (clump < _quantile(_THIN_LOST))
+    lost |= rng.random(read.shape, dtype=np.float32) < _SPECKLE
+    return read, ~lost & (disparity_px > 0) & (read > 0), border
 
 
-def _disc(radius_px: int) -> NDArray[np.uint8]:
+def _disc(radius_px: int) -> Pixels:
     side = 2 * radius_px + 1
     return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side)), np.uint8)
 
 
-def _thin(disparity_px: NDArray[np.float32], matcher: Matcher) -> NDArray[np.bool_]:
-    window = np.ones((matcher.thin_px, matcher.thin_px), np.uint8)
+def _thin(disparity_px: Array32) -> Mask:
+    window = np.ones((_THIN_PX, _THIN_PX), np.uint8)
     opened = cv2.morphologyEx(disparity_px, cv2.MORPH_OPEN, window)
-    return np.asarray(disparity_px - opened > 2 * matcher.hole_px)
+    return np.asarray(disparity_px - opened > 2 * _HOLE_PX)
 
 
 def _quantile(share: float) -> float:
@@ -208,8 +155,6 @@ def _quantile(share: float) -> float:
 VGA = (640, 480)
 """Size of depth frames in the real captures of cucumbers."""
 
-_NO_TURN = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-
 _MARGIN_PX = 24
 
 _FLICKER = 0.1  # share of missing readings per frame near discontinuities
@@ -217,32 +162,20 @@ _FLICKER = 0.1  # share of missing readings per frame near discontinuities
 
 @dataclass(frozen=True)
 class D4xx:
-    """Parameters of a depth camera.
+    """Parameters of a depth camera, 15 mm beside its colour camera.
 
     Parameters
     ----------
     color, depth : Intrinsics
         Intrinsics of the colour camera and of the depth camera (the left imager).
-    rotation : tuple
-        R of x_color = R x_depth + t, rows first.
-    translation_m : tuple of float
-        t; 15 mm along x for a D435.
-    baseline_m : float
-        Distance between the imagers; 50 mm for a D435.
     disparity_rms_px : float
         RMS noise of disparity, pixels of the depth camera.
     fixed_share : float
         Share of the noise variance that is constant over time.
-    correlation_px : float
-        Standard deviation of the Gaussian filter of the noise, depth pixels.
     subpixel_step_px : float
         Quantisation of disparity.
-    scale_error : float
-        Depth scale error of the camera: depth is multiplied by 1 + scale_error.
     registration_px : tuple of float
         Standard deviation of the error of the alignment to colour, right and down, colour pixels.
-    matcher : Matcher
-        Error model of the matcher.
     foliage_holes, glare_holes : float
         Share of invalid pixels on leaves, and on the glossy side of fruit (0 for dry fruit in
         shade).
@@ -254,26 +187,20 @@ class D4xx:
     Examples
     --------
     >>> camera = D4xx.like(Intrinsics(1280, 720, 924.0, 924.0, 640.0, 360.0))
-    >>> camera.depth.fx_px, camera.scale_error
-    (640.0, 0.0)
+    >>> camera.depth.fx_px, camera.min_z_m
+    (640.0, 0.28)
     """
 
     color: Intrinsics
     depth: Intrinsics
-    rotation: tuple[tuple[float, float, float], ...] = _NO_TURN
-    translation_m: tuple[float, float, float] = (0.015, 0.0, 0.0)
-    baseline_m: float = 0.050
     disparity_rms_px: float = 0.19
     fixed_share: float = 0.7
-    correlation_px: float = 5.0
     subpixel_step_px: float = 1 / 32
-    scale_error: float = 0.0
     registration_px: tuple[float, float] = (2.2, 0.7)
-    matcher: Matcher = field(default_factory=Matcher)
     foliage_holes: float = 0.02
     glare_holes: float = 0.0
     unit_m: float = 0.001
-    min_z_m: float = 0.28
+    min_z_m: float = _MIN_Z_M
 
     @classmethod
     def like(cls, color: Intrinsics, depth_size: tuple[int, int] | None = None) -> D4xx:
@@ -285,12 +212,10 @@ class D4xx:
         width, height = depth_size or color.size
         focal = height * (0.8 if depth_size == VGA else 640.0 / 720.0)
         depth = Intrinsics(width, height, focal, focal, width / 2, height / 2, Stream.DEPTH)
-        return cls(color, depth, min_z_m=0.28 * focal / 640 if depth_size else 0.28)
+        return cls(color, depth, min_z_m=_MIN_Z_M * focal / 640 if depth_size else _MIN_Z_M)
 
 
-def sense(
-    scene: Scene, camera: D4xx, rng: np.random.Generator, frames: int = 5
-) -> list[NDArray[np.float32]]:
+def sense(scene: Scene, camera: D4xx, rng: Generator, frames: int = 5) -> list[Array32]:
     """Simulate a burst of depth frames, aligned to colour.
 
     Parameters
@@ -316,12 +241,12 @@ def sense(
 
     Notes
     -----
-    Disparity noise of RMS s corresponds to depth noise of z² s / (f B). The alignment to colour
+    Array32 noise of RMS s corresponds to depth noise of z² s / (f B). The alignment to colour
     is computed once per burst, because temporal noise shifts it by less than a tenth of a pixel.
 
     Examples
     --------
-    >>> from cucumbervision_lab.scenes.raycast import Plane
+    >>> from cucumbervision_lab.scenes.scene import Plane
     >>> from cucumbervision_lab.scenes.scene import Scene
     >>> camera = D4xx.like(Intrinsics(320, 180, 231.0, 231.0, 160.0, 90.0))
     >>> wall = Scene((), planes=(Plane.facing(0.5),))
@@ -330,58 +255,55 @@ def sense(
     (3, True)
     """
     seen_by = _visible_part(camera)
-    to_view = np.asarray(camera.rotation).T
-    view = render(scene.moved(to_view, -to_view @ np.asarray(camera.translation_m)), seen_by)
-    focal_baseline = seen_by.fx_px * camera.baseline_m
+    view = render(scene.moved(np.eye(3), -np.asarray(_COLOR_OFF_M)), seen_by)
+    focal_baseline = seen_by.fx_px * _BASELINE_M
     depth = view.depth_m.astype(np.float32)
     exact = np.divide(focal_baseline, depth, out=np.zeros_like(depth), where=depth > 0)
-    matched = match(exact, camera.matcher, rng)
-    valid = matched.valid & ~_surface_holes(view, seen_by, camera, rng)
-    waves = smooth_field(exact.shape, camera.correlation_px, rng)
+    disparity, valid, unsure = match(exact, rng)
+    valid &= ~_surface_holes(view, seen_by, camera, rng)
+    waves = smooth_field(exact.shape, _CORRELATION_PX, rng)
     waves *= np.float32(camera.disparity_rms_px * np.sqrt(camera.fixed_share))
-    settled = np.maximum(matched.disparity_px + waves, np.float32(camera.subpixel_step_px))
+    settled = np.maximum(disparity + waves, np.float32(camera.subpixel_step_px))
     base = np.where(valid, focal_baseline / settled, 0).astype(np.float32)
     # An error of the alignment moves all readings, as if the principal point lay elsewhere.
     color, (off_x, off_y) = camera.color, rng.normal(0, camera.registration_px).tolist()
     aligned = replace(color, cx_px=color.cx_px + off_x, cy_px=color.cy_px + off_y)
-    sources = color_sources(base, seen_by, aligned, camera.rotation, camera.translation_m)
+    sources = color_sources(base, seen_by, aligned, np.eye(3), _COLOR_OFF_M)
     hit = sources >= 0
     burst = []
     for _ in range(frames):
-        reading = _frame(settled, valid, matched, focal_baseline, camera, rng)
+        reading = _frame(settled, valid, unsure, focal_baseline, camera, rng)
         burst.append(np.where(hit, reading.ravel()[sources], np.float32(0)))
     return burst
 
 
 def _frame(
-    settled_px: NDArray[np.float32],
-    valid: NDArray[np.bool_],
-    matched: Matched,
+    settled_px: Array32,
+    valid: Mask,
+    unsure: Mask,
     focal_baseline: float,
     camera: D4xx,
-    rng: np.random.Generator,
-) -> NDArray[np.float32]:
-    fresh = smooth_field(settled_px.shape, camera.correlation_px, rng)
+    rng: Generator,
+) -> Array32:
+    fresh = smooth_field(settled_px.shape, _CORRELATION_PX, rng)
     fresh *= np.float32(camera.disparity_rms_px * np.sqrt(1 - camera.fixed_share))
     fresh += settled_px
     step = np.float32(camera.subpixel_step_px)
     disparity = np.maximum(np.rint(fresh / step), 1) * step
-    depth = np.float32(focal_baseline * (1 + camera.scale_error)) / disparity
+    depth = np.float32(focal_baseline) / disparity
     units = np.rint(depth / np.float32(camera.unit_m))
     reading = np.asarray(units * np.float32(camera.unit_m), np.float32)
     reading[~valid | (reading < camera.min_z_m)] = 0.0
-    v, u = np.nonzero(matched.unsure)
+    v, u = np.nonzero(unsure)
     gone = rng.random(len(v)) < _FLICKER
     reading[v[gone], u[gone]] = 0.0
     return reading
 
 
-def _surface_holes(
-    view: View, seen_by: Intrinsics, camera: D4xx, rng: np.random.Generator
-) -> NDArray[np.bool_]:
+def _surface_holes(view: View, seen_by: Intrinsics, camera: D4xx, rng: Generator) -> Mask:
     lost = np.zeros(view.depth_m.shape, np.bool_)
     if camera.foliage_holes > 0 and (view.kind == Kind.LEAF).any():
-        clump = smooth_field(lost.shape, 2 * camera.matcher.clump_px, rng)
+        clump = smooth_field(lost.shape, 2 * _CLUMP_PX, rng)
         lost |= (view.kind == Kind.LEAF) & (clump < np.quantile(clump, camera.foliage_holes))
     if camera.glare_holes > 0 and (view.kind == Kind.FRUIT).any():
         grid = ray_grid(seen_by)
@@ -390,7 +312,7 @@ def _surface_holes(
         towards = -np.stack([grid.x[v, u], grid.y[v, u], np.ones(len(v))], axis=1)
         half = towards / np.linalg.norm(towards, axis=1)[:, None] + light / np.linalg.norm(light)
         shine = (view.normal[v, u] * half).sum(axis=1) / np.linalg.norm(half, axis=1)
-        wobble = 0.03 * smooth_field(lost.shape, camera.matcher.clump_px, rng)[v, u]
+        wobble = 0.03 * smooth_field(lost.shape, _CLUMP_PX, rng)[v, u]
         shining = shine + wobble
         gone = shining > np.quantile(shining, 1 - camera.glare_holes)
         lost[v[gone], u[gone]] = True
@@ -408,9 +330,7 @@ def _visible_part(camera: D4xx) -> Intrinsics:
     rays = np.stack([x, y, np.ones_like(x)])
     spans = []
     for z in (camera.min_z_m, 20.0):
-        point_m = np.asarray(camera.rotation).T @ (
-            z * rays - np.reshape(camera.translation_m, (3, 1))
-        )
+        point_m = z * rays - np.reshape(_COLOR_OFF_M, (3, 1))
         spans.append(
             [
                 point_m[0] / point_m[2] * depth.fx_px + depth.cx_px,
@@ -420,7 +340,7 @@ def _visible_part(camera: D4xx) -> Intrinsics:
     lower = np.min(spans, axis=(0, 2)) - _MARGIN_PX
     upper = np.max(spans, axis=(0, 2)) + _MARGIN_PX
     # Objects up to the largest disparity further right can occlude a pixel in the right imager.
-    upper[0] += depth.fx_px * camera.baseline_m / camera.min_z_m
+    upper[0] += depth.fx_px * _BASELINE_M / camera.min_z_m
     first_column, top = np.maximum(np.floor(lower), 0).astype(int).tolist()
     right, bottom = np.minimum(np.ceil(upper), [depth.width, depth.height]).astype(int).tolist()
     return replace(

@@ -17,15 +17,9 @@ from cucumbervision.errors import DataSetError, wrap_os_errors
 from cucumbervision.files import read_json
 from cucumbervision.tube.shape import arc_positions, points_along
 from cucumbervision_lab.arrays import Array, Array32, Generator, Pixels
-from cucumbervision_lab.data.coco import (
-    FRAGMENTS,
-    collect_fragments,
-    read_coco,
-    write_coco,
-    write_fragment,
-)
-from cucumbervision_lab.data.labels import Label, LabelledPicture, ticked
-from cucumbervision_lab.processes import each_done
+from cucumbervision_lab.data.coco import coco_entries, read_coco, write_annotations
+from cucumbervision_lab.data.labels import Label, LabelledPicture
+from cucumbervision_lab.processes import kept_rows
 from cucumbervision_lab.scenes.colors import expose, palette, random_exposure
 from cucumbervision_lab.scenes.compose import HARD, PLAIN, Composition, Setting, compose
 from cucumbervision_lab.scenes.depth_camera import VGA, D4xx, sense
@@ -326,7 +320,7 @@ def generate(
         Options of the set.
     out : Path
         Folder for `images/`, `depth/` (simulated, millimetres), `exact/` (tenths of a millimetre),
-        `fragments/` and `annotations.json`.
+        `frames.jsonl` (the labels of each frame) and `annotations.json`.
     workers : int
         Number of processes.
     progress : callable, optional
@@ -348,12 +342,11 @@ def generate(
     more frames adds the missing ones.
     """
     _check_options(options, out)
-    missing = [k for k in range(options.frames) if not _fragment(out, k).exists()]
-    if progress is not None:
-        progress(options.frames - len(missing))
-    for _ in ticked(each_done(partial(_draw, options, out), missing, workers), progress):
-        pass
-    return write_coco(collect_fragments(out), out)
+    jobs = {f"{index:06d}": index for index in range(options.frames)}
+    draw = partial(_draw, options, out)
+    rows = kept_rows(out / "frames.jsonl", jobs, draw, workers, progress)
+    write_annotations(rows, ("cucumber",), out)
+    return read_coco(out)
 
 
 def _check_options(options: SynthOptions, out: Path) -> None:
@@ -369,7 +362,7 @@ def _check_options(options: SynthOptions, out: Path) -> None:
                 source=out,
                 remedy="use the same options to resume, or another folder",
             )
-        for name in ("images", FRAGMENTS, *(("depth", "exact") if options.frame.depth else ())):
+        for name in ("images", *(("depth", "exact") if options.frame.depth else ())):
             (out / name).mkdir(parents=True, exist_ok=True)
         file.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
 
@@ -401,7 +394,9 @@ def _grounds(folder: Path) -> tuple[tuple[tuple[LabelledPicture, Path], ...], ..
     )
 
 
-def _paste_onto(options: SynthOptions, onto: Path, paste: Path, out: Path, index: int) -> None:
+def _paste_onto(
+    options: SynthOptions, onto: Path, paste: Path, out: Path, index: int
+) -> LabelledPicture:
     """Write a montage of fruit on a photo instead of a synthetic frame."""
     rng = np.random.default_rng([options.seed, index, 2])
     grounds = _grounds(onto)
@@ -420,13 +415,12 @@ def _paste_onto(options: SynthOptions, onto: Path, paste: Path, out: Path, index
         licence=ground.licence,
     )
     write_jpeg(out / picture.file, color, _QUALITY)
-    write_fragment(picture, _fragment(out, index))
+    return picture
 
 
-def _draw(options: SynthOptions, out: Path, index: int) -> None:
+def _draw(options: SynthOptions, out: Path, index: int) -> list[dict[str, Any]]:
     if options.onto is not None and options.paste is not None:
-        _paste_onto(options, options.onto, options.paste, out, index)
-        return
+        return [coco_entries(_paste_onto(options, options.onto, options.paste, out, index))]
     frame = draw_frame(options.seed, index, options.frame, _assets(options.assets))
     name = f"{index:06d}"
     split = options.split or _SPLIT_OF[index % len(_SPLIT_OF)]
@@ -435,11 +429,7 @@ def _draw(options: SynthOptions, out: Path, index: int) -> None:
     if frame.depth_m is not None:
         write_png(out / "depth" / f"{name}.png", _steps(frame.depth_m, _DEPTH_UNIT_M))
         write_png(out / "exact" / f"{name}.png", _steps(frame.exact_m, _EXACT_UNIT_M))
-    write_fragment(picture, _fragment(out, index))
-
-
-def _fragment(out: Path, index: int) -> Path:
-    return out / FRAGMENTS / f"{index:06d}.json"
+    return [coco_entries(picture)]
 
 
 def _steps(depth_m: np.ndarray[Any, Any], unit_m: float) -> np.ndarray[Any, Any]:

@@ -157,14 +157,9 @@ def _place_cutout(
     h, w = cutout.mask.shape
     # Enlarging further would blur the fruit.
     scale = min(length_px / max(h, w), 1.3)
-    turn = np.deg2rad(turn_deg)
     flip = rng.choice([-1.0, 1.0])
-    linear = scale * np.array(
-        [[np.cos(turn) * flip, -np.sin(turn)], [np.sin(turn) * flip, np.cos(turn)]]
-    )
     spot = rng.uniform(0.1, 0.9, 2) * (width, height)
-    shift = spot - linear @ np.array([(w - 1) / 2, (h - 1) / 2])
-    matrix = np.column_stack([linear, shift])
+    matrix = placement(cutout.mask.shape, spot, scale, np.deg2rad(turn_deg), flip)
     tone = rng.uniform(0.6, 1.25) * rng.uniform(0.94, 1.06, 3)
     toned = np.clip(cutout.color * tone, 0, 255).astype(np.float32)
     if scale < 0.7:
@@ -177,10 +172,21 @@ def _place_cutout(
         return None
     points = cutout.keypoints
     if points is not None:
-        points = np.column_stack([points[:, :2] @ linear.T + shift, points[:, 2]])
+        moved = points[:, :2] @ matrix[:, :2].T + matrix[:, 2]
+        points = np.column_stack([moved, points[:, 2]])
     return _Placed(
         fruit.astype(np.float32), alpha.astype(np.float32), points, by_place=cutout.by_place
     )
+
+
+def placement(
+    shape: tuple[int, ...], middle_px: Array, scale: float, turn_rad: float, flip: float
+) -> Array:
+    """Return the affine map, (2, 3), that scales, mirrors, turns and moves a picture's middle."""
+    cos, sin = np.cos(turn_rad), np.sin(turn_rad)
+    linear = scale * np.array([[cos * flip, -sin], [sin * flip, cos]])
+    middle = np.array([(shape[1] - 1) / 2, (shape[0] - 1) / 2])
+    return np.column_stack([linear, middle_px - linear @ middle])
 
 
 def _occluded(label: Label, hidden: Mask) -> Label | None:

@@ -9,15 +9,22 @@ import numpy as np
 
 from cucumbervision_lab.arrays import Array, Generator
 from cucumbervision_lab.scenes.bodies import rotation
-from cucumbervision_lab.scenes.raycast import Leaf, Plane, Stem, cast_leaf, cast_tube, scaled_camera
-from cucumbervision_lab.scenes.scene import Scene
+from cucumbervision_lab.scenes.scene import (
+    Leaf,
+    Plane,
+    Scene,
+    Stem,
+    cast_leaf,
+    cast_tube,
+    scaled_camera,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from cucumbervision.capture.intrinsics import Intrinsics
     from cucumbervision_lab.scenes.bodies import Tube
-    from cucumbervision_lab.scenes.raycast import Hit
+    from cucumbervision_lab.scenes.scene import Hit
 
 _COARSE = 0.5  # resolution factor of the search for a leaf's size
 
@@ -27,36 +34,6 @@ _LEAN = 0.03  # standard deviation of a string's inclination and bow, relative t
 _THICKEST_STRING_M = 0.0025
 
 _NEAREST = 0.4  # maximum distance of a leaf from its fruit, as a share of the fruit's distance
-
-
-def place_hanging(
-    fruit: Tube,
-    at_m: tuple[float, float, float],
-    *,
-    roll_deg: float = -90.0,
-    tilt_deg: float = 0.0,
-    spin_deg: float = 0.0,
-) -> Tube:
-    """Move a fruit from the origin to its position.
-
-    Parameters
-    ----------
-    fruit : Tube
-        Fruit from `bent_tube` or `random_fruit`.
-    at_m : tuple of float
-        Position of the centre, camera coordinates, metres.
-    roll_deg, tilt_deg, spin_deg : float
-        See `rotation`. With a roll of -90 the fruit hangs with the stem end up; tilt moves the axis
-        out of the picture plane; with a spin of 0 the bend is in the picture plane.
-
-    Examples
-    --------
-    >>> from cucumbervision_lab.scenes.bodies import arc_tube
-    >>> hung = place_hanging(arc_tube(0.2, 0.02), (0.0, 0.0, 0.5))
-    >>> hung.poles_m[1].round(3).tolist()  # the stem end, up
-    [0.0, -0.1, 0.5]
-    """
-    return fruit.moved(rotation(roll_deg, tilt_deg, spin_deg), at_m)
 
 
 def foliage(
@@ -214,7 +191,7 @@ def occlude(
     >>> from cucumbervision_lab.scenes.scene import truth_of
     >>> from cucumbervision_lab.scenes.bodies import arc_tube
     >>> camera = Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0)
-    >>> bare = Scene((place_hanging(arc_tube(0.25, 0.02), (0.0, 0.0, 0.5)),))
+    >>> bare = Scene((arc_tube(0.25, 0.02).moved(rotation(-90), (0.0, 0.0, 0.5)),))
     >>> covered = occlude(bare, camera, 0, 0.3, np.random.default_rng(1))
     >>> truth, = truth_of(covered, camera)
     >>> round(truth.hidden_share, 1), truth.keypoint_visibility[[0, 4]].tolist()

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision_lab.arrays import Array32, Generator, Mask
-from cucumbervision_lab.scenes import lighting
+from cucumbervision_lab.arrays import Array32, Generator
+from cucumbervision_lab.scenes import lighting, textures
 from cucumbervision_lab.scenes.colors import (
     Color,
     jitter,
@@ -23,21 +23,9 @@ from cucumbervision_lab.scenes.colors import (
 )
 from cucumbervision_lab.scenes.compose import Setting
 from cucumbervision_lab.scenes.lighting import Light, Vector, random_light
-from cucumbervision_lab.scenes.raycast import ray_grid
-from cucumbervision_lab.scenes.scene import Kind, Scene, View
+from cucumbervision_lab.scenes.scene import Kind, Scene, View, ray_grid
 from cucumbervision_lab.scenes.skin import LOOKS, Skin, random_skin, skin_maps
-from cucumbervision_lab.scenes.textures import (
-    LEAF_TEXTURES,
-    TILE_M,
-    Assets,
-    far_view,
-    leaf_level,
-    leaf_photo_texture,
-    leaf_texel,
-    leaf_texture,
-    material_color,
-    material_tile,
-)
+from cucumbervision_lab.scenes.textures import Assets
 
 FAR = "far"
 
@@ -133,7 +121,7 @@ def random_style(
     Examples
     --------
     >>> import numpy as np
-    >>> from cucumbervision_lab.scenes.raycast import Plane
+    >>> from cucumbervision_lab.scenes.scene import Plane
     >>> from cucumbervision_lab.scenes.scene import Scene
     >>> bench = Scene((), planes=(Plane.facing(0.6),))
     >>> style = random_style(np.random.default_rng(1), bench, Assets(), "bench")
@@ -151,7 +139,7 @@ def random_style(
         far=background,
         materials=(*bench, *[FAR] * background_planes),
         material_colors=(
-            *(material_color(rng, name) for name in bench),
+            *(textures.material_color(rng, name) for name in bench),
             *[(0.0, 0.0, 0.0)] * background_planes,
         ),
         leaf_colors=_leaf_colors(rng, scene),
@@ -224,33 +212,22 @@ _PHOTOS = 3
 _SEEN_THROUGH = np.array([1.15, 1.3, 0.55], np.float32)  # leaves transmit yellowish light
 
 
-@dataclass(frozen=True, eq=False)
-class _Layers:
-    # What the light needs, flat: colour, normal, gloss, share of light that passes through,
-    # and where the colour shines by itself (a far view).
-    albedo: Array32
-    normal: Array32
-    gloss: Array32
-    through: Array32
-    far: Mask
+class _Shading:
+    """The pixels of a scene while their materials and their light are computed.
 
-    @classmethod
-    def empty(cls, count: int) -> _Layers:
-        normal = np.tile(np.array([0, 0, -1], np.float32), (count, 1))
-        albedo, gloss, through = (np.zeros(s, np.float32) for s in ((count, 3), count, count))
-        return cls(albedo, normal, gloss, through, np.zeros(count, np.bool_))
+    Per pixel, flat: colour, normal, gloss, the share of light that passes through, and where the
+    colour shines by itself (a far view).
+    """
 
-
-@dataclass(frozen=True, eq=False)
-class _Job:
-    # What every material needs to be shaded.
-    scene: Scene
-    view: View
-    camera: Intrinsics
-    style: Style
-    assets: Assets
-    rng: Generator
-    layers: _Layers
+    def __init__(
+        self, scene: Scene, view: View, camera: Intrinsics, style: Style, rng: Generator
+    ) -> None:
+        self.scene, self.view, self.camera, self.style, self.rng = scene, view, camera, style, rng
+        count = view.kind.size
+        shapes = (count, 3), (count,), (count,)
+        self.albedo, self.gloss, self.through = (np.zeros(shape, np.float32) for shape in shapes)
+        self.normal = np.tile(np.array([0, 0, -1], np.float32), (count, 1))
+        self.far = np.zeros(count, np.bool_)
 
 
 def shade(
@@ -282,7 +259,7 @@ def shade(
     --------
     >>> from cucumbervision.capture.intrinsics import Intrinsics
     >>> from cucumbervision_lab.scenes.textures import Assets
-    >>> from cucumbervision_lab.scenes.raycast import Plane
+    >>> from cucumbervision_lab.scenes.scene import Plane
     >>> from cucumbervision_lab.scenes.scene import Scene, render
     >>> from cucumbervision_lab.scenes.bodies import arc_tube
     >>> camera, rng = Intrinsics(160, 120, 150.0, 150.0, 80.0, 60.0), np.random.default_rng(1)
@@ -296,14 +273,18 @@ def shade(
     depth = view.depth_m.astype(np.float32)
     x, y = (g.astype(np.float32) for g in (grid.x, grid.y))
     points: Array32 = np.stack([x * depth, y * depth, depth], axis=-1).reshape(-1, 3)
-    job = _Job(scene, view, camera, style, assets, rng, _Layers.empty(view.kind.size))
-    background = far_view(rng, style.far, camera.width, camera.height, assets).reshape(-1, 3)
-    photos = [leaf_photo_texture(rng, assets) if style.leaf_photo else () for _ in range(_PHOTOS)]
+    job = _Shading(scene, view, camera, style, rng)
+    background = textures.far_view(rng, style.far, camera.width, camera.height, assets).reshape(
+        -1, 3
+    )
+    photos = [
+        textures.leaf_photo_texture(rng, assets) if style.leaf_photo else () for _ in range(_PHOTOS)
+    ]
     tiles: dict[str, Array32] = {}
     for kind, index, pixels in _bodies(view):
         points_here = points[pixels]
         if kind == Kind.FRUIT:
-            _fruit(job, pixels, index, points_here)
+            _fruit(job, pixels, index, points_here, assets)
         elif kind == Kind.LEAF:
             _leaf(job, pixels, index, points_here, photos[rng.integers(_PHOTOS)])
         elif kind == Kind.STEM:
@@ -312,12 +293,14 @@ def shade(
             name = style.materials[index]
             if name not in tiles:
                 seen_m = float(np.median(points_here[:, 2])) / camera.fx_px
-                tiles[name] = material_tile(rng, name, style.material_colors[index], seen_m)
+                tiles[name] = textures.material_tile(
+                    rng, name, style.material_colors[index], seen_m
+                )
             _plane(job, pixels, index, points_here, tiles[name])
         else:
-            job.layers.albedo[pixels] = background[pixels]
-            job.layers.far[pixels] = True
-    return _lit(job)
+            job.albedo[pixels] = background[pixels]
+            job.far[pixels] = True
+    return _lit(job, lighting.light_maps(rng, style.light, assets))
 
 
 def _bodies(view: View) -> list[tuple[int, int, NDArray[np.intp]]]:
@@ -334,8 +317,10 @@ def _bodies(view: View) -> list[tuple[int, int, NDArray[np.intp]]]:
     return bodies
 
 
-def _fruit(job: _Job, pixels: NDArray[np.intp], index: int, points: Array32) -> None:
-    tube, view, layers = job.scene.fruit[index], job.view, job.layers
+def _fruit(
+    job: _Shading, pixels: NDArray[np.intp], index: int, points: Array32, assets: Assets
+) -> None:
+    tube, view = job.scene.fruit[index], job.view
     share, normal = view.share.ravel()[pixels], view.normal.reshape(-1, 3)[pixels]
     balls = len(tube.radii_m)
     along = np.gradient(tube.centres_m, axis=0)
@@ -345,7 +330,7 @@ def _fruit(job: _Job, pixels: NDArray[np.intp], index: int, points: Array32) -> 
     length = float(run[-1] + tube.radii_m[-1])
     radius = float(np.quantile(tube.radii_m, 0.8))
     texel = max(1.1 * float(np.median(points[:, 2])) / job.camera.fx_px, 0.0003)
-    maps = skin_maps(job.rng, job.style.skins[index], length, radius, texel, job.assets)
+    maps = skin_maps(job.rng, job.style.skins[index], length, radius, texel, assets)
     k = np.clip(np.rint(share * (balls - 1)), 0, balls - 1).astype(np.int32)
     tangent = along.astype(np.float32)[k]
     lean = np.einsum("ij,ij->i", normal, tangent)
@@ -360,12 +345,12 @@ def _fruit(job: _Job, pixels: NDArray[np.intp], index: int, points: Array32) -> 
     rows, columns = maps.albedo.shape[:2]
     x = (angle + np.float32(job.rng.random())) % 1 * columns - np.float32(0.5)
     y = np.clip(from_blossom_m / np.float32(length), 0, 1) * (rows - 1)
-    layers.albedo[pixels] = sample(maps.albedo, x, y)
+    job.albedo[pixels] = sample(maps.albedo, x, y)
     relief = sample(maps.relief, x, y)
     turned = 2 * np.float32(np.pi) * angle[:, None]
     round_about = np.cos(turned) * aside - np.sin(turned) * out
-    layers.normal[pixels] = _unit(normal - relief[:, :1] * tangent - relief[:, 1:2] * round_about)
-    layers.gloss[pixels] = relief[:, 2]
+    job.normal[pixels] = _unit(normal - relief[:, :1] * tangent - relief[:, 1:2] * round_about)
+    job.gloss[pixels] = relief[:, 2]
 
 
 def _unit(vectors: Array32, sign: Array32 | float = 1.0) -> Array32:
@@ -374,16 +359,18 @@ def _unit(vectors: Array32, sign: Array32 | float = 1.0) -> Array32:
 
 
 def _leaf(
-    job: _Job, pixels: NDArray[np.intp], index: int, points: Array32, photo: tuple[Array32, ...]
+    job: _Shading, pixels: NDArray[np.intp], index: int, points: Array32, photo: tuple[Array32, ...]
 ) -> None:
-    rng, style, layers, leaf = job.rng, job.style, job.layers, job.scene.leaves[index]
+    rng, style, leaf = job.rng, job.style, job.scene.leaves[index]
     frame = leaf.frame.astype(np.float32)
     local = (points - leaf.centre_m.astype(np.float32)) @ frame.T
     flip = np.float32(rng.choice((-1.0, 1.0)))
-    x = leaf_texel(local[:, 0] / np.float32(leaf.half_length_m))
-    y = leaf_texel(flip * local[:, 1] / np.float32(leaf.half_width_m))
-    level = leaf_level(job.camera.fx_px * leaf.half_length_m / float(np.median(points[:, 2])))
-    texels = sample(leaf_texture(int(rng.integers(LEAF_TEXTURES)), level), x, y)
+    x = textures.leaf_texel(local[:, 0] / np.float32(leaf.half_length_m))
+    y = textures.leaf_texel(flip * local[:, 1] / np.float32(leaf.half_width_m))
+    level = textures.leaf_level(
+        job.camera.fx_px * leaf.half_length_m / float(np.median(points[:, 2]))
+    )
+    texels = sample(textures.leaf_texture(int(rng.integers(textures.LEAF_TEXTURES)), level), x, y)
     below = texels[:, 2:] * np.float32(style.leaf_relief)
     bend = np.asarray(leaf.bend_per_m, np.float32)
     slopes = local[:, :2] * bend + below * np.array([1, flip], np.float32)
@@ -391,7 +378,7 @@ def _leaf(
     # Flip normals towards the camera, because both faces of a blade are visible.
     side = np.sign(np.einsum("ij,ij->i", normal, points))
     underside = float(side.mean()) > 0
-    layers.normal[pixels] = _unit(normal, -np.where(side == 0, 1, side))
+    job.normal[pixels] = _unit(normal, -np.where(side == 0, 1, side))
     color = to_linear(style.leaf_colors[index])
     withered = leaf.role == "blossom"
     pale = to_linear((150, 168, 104))
@@ -401,13 +388,13 @@ def _leaf(
     albedo = mix(color, pale, vein)
     if photo and not withered:
         albedo *= 1 + np.float32(style.leaf_photo) * (sample(photo[level], x, y) - 1)
-    layers.albedo[pixels] = scale_colors(albedo, np.ascontiguousarray(texels[:, 0]))
-    layers.gloss[pixels] = np.float32(0.0 if underside or withered else style.leaf_gloss)
-    layers.through[pixels] = np.float32(0.55)
+    job.albedo[pixels] = scale_colors(albedo, np.ascontiguousarray(texels[:, 0]))
+    job.gloss[pixels] = np.float32(0.0 if underside or withered else style.leaf_gloss)
+    job.through[pixels] = np.float32(0.55)
 
 
-def _stem(job: _Job, pixels: NDArray[np.intp], index: int, points: Array32) -> None:
-    rng, style, layers = job.rng, job.style, job.layers
+def _stem(job: _Shading, pixels: NDArray[np.intp], index: int, points: Array32) -> None:
+    rng = job.rng
     line = job.scene.stems[index].vertices_m.astype(np.float32)
     first, step = line[:-1], np.diff(line, axis=0)
     squared = np.maximum(np.einsum("ij,ij->i", step, step), 1e-12)
@@ -422,8 +409,8 @@ def _stem(job: _Job, pixels: NDArray[np.intp], index: int, points: Array32) -> N
         closer = distance < best
         best[closer], normal[closer] = distance[closer], off[closer]
         run[closer] = (k + share[closer]) * np.sqrt(squared[k])
-    normal = layers.normal[pixels] = _unit(normal)
-    color = to_linear(style.stem_colors[index])
+    normal = job.normal[pixels] = _unit(normal)
+    color = to_linear(job.style.stem_colors[index])
     role = job.scene.stems[index].role
     if role == "string":
         tone = 1 + 0.2 * np.sin(run * 1600 + 6 * normal[:, 0])
@@ -433,33 +420,33 @@ def _stem(job: _Job, pixels: NDArray[np.intp], index: int, points: Array32) -> N
         noise = smooth_noise(rng, (64, 4), (3, 1), wrap=True)
         tone = 1 + 0.12 * sample(noise, 2 + 2 * normal[:, 0], run * 400 % 63)
         tone *= 1 + 0.06 * np.cos(9 * np.arctan2(normal[:, 0], -normal[:, 2]))
-    layers.albedo[pixels] = color * np.clip(tone, 0.4, 1.6).astype(np.float32)[:, None]
-    layers.gloss[pixels] = np.float32(0.15)
-    layers.through[pixels] = np.float32(0.1 if role in ("stem", "stalk") else 0.0)
+    job.albedo[pixels] = color * np.clip(tone, 0.4, 1.6).astype(np.float32)[:, None]
+    job.gloss[pixels] = np.float32(0.15)
+    job.through[pixels] = np.float32(0.1 if role in ("stem", "stalk") else 0.0)
 
 
-def _plane(job: _Job, pixels: NDArray[np.intp], index: int, points: Array32, tile: Array32) -> None:
-    plane, layers = job.scene.planes[index], job.layers
+def _plane(
+    job: _Shading, pixels: NDArray[np.intp], index: int, points: Array32, tile: Array32
+) -> None:
+    plane = job.scene.planes[index]
     frame = plane.tile_axes().astype(np.float32)
     place = (points - plane.point_m.astype(np.float32)) @ frame.T
-    pixel = (place * np.float32(len(tile) / TILE_M)) % len(tile)
-    layers.albedo[pixels] = sample(tile, pixel[:, 0], pixel[:, 1])
-    layers.normal[pixels] = plane.unit_normal().astype(np.float32)
-    layers.gloss[pixels] = np.float32(
+    pixel = (place * np.float32(len(tile) / textures.TILE_M)) % len(tile)
+    job.albedo[pixels] = sample(tile, pixel[:, 0], pixel[:, 1])
+    job.normal[pixels] = plane.unit_normal().astype(np.float32)
+    job.gloss[pixels] = np.float32(
         {"steel": 0.5, "plastic": 0.4}.get(job.style.materials[index], 0.03)
     )
 
 
-def _lit(job: _Job) -> Array32:
-    view, camera, style, layers = job.view, job.camera, job.style, job.layers
+def _lit(job: _Shading, maps: lighting.LightMaps) -> Array32:
+    view, camera, style = job.view, job.camera, job.style
     shape = view.kind.shape
     grid = ray_grid(camera)
-    background = layers.far.reshape(shape)
+    background = job.far.reshape(shape)
     depth = np.where((view.depth_m > 0) & ~background, view.depth_m, _FAR_M).astype(np.float32)
-    maps = lighting.light_maps(job.rng, style.light, job.assets)
-    normal = layers.normal.reshape(*shape, 3)
-    albedo = layers.albedo.reshape(*shape, 3)
-    gloss, through = layers.gloss.reshape(shape), layers.through.reshape(shape)
+    normal, albedo = (part.reshape(*shape, 3) for part in (job.normal, job.albedo))
+    gloss, through = job.gloss.reshape(shape), job.through.reshape(shape)
     size = maps.front.shape[0]
 
     def found(picture: Array32, x: Array32, y: Array32) -> Array32:
@@ -485,25 +472,18 @@ def _lit(job: _Job) -> Array32:
     light = albedo * front
     light += scale_colors(gleam, shine * (0.3 + 0.7 * open_) * gloom)
     if style.light.sun_strength > 0:
-        light += _sunlit(
-            job.rng, (albedo, normal, gloss, through), depth, gloom, camera, style.light
-        )
+        light += _sunlit(job, depth, gloom)
     light[background] = albedo[background]
     return light
 
 
-def _sunlit(
-    rng: Generator,
-    layers: tuple[Array32, Array32, Array32, Array32],
-    depth_m: Array32,
-    gloom: Array32,
-    camera: Intrinsics,
-    light: Light,
-) -> Array32:
-    albedo, normal, gloss, through = layers
-    lit = lighting.sun_shadow(rng, depth_m, camera, light) * np.sqrt(gloom)
+def _sunlit(job: _Shading, depth_m: Array32, gloom: Array32) -> Array32:
+    rng, light, shape = job.rng, job.style.light, depth_m.shape
+    normal, albedo = (part.reshape(*shape, 3) for part in (job.normal, job.albedo))
+    gloss, through = job.gloss.reshape(shape), job.through.reshape(shape)
+    lit = lighting.sun_shadow(rng, depth_m, job.camera, light) * np.sqrt(gloom)
     if light.shade > 0:
-        lit = lit * lighting.dappled_shade(rng, depth_m, camera, light)
+        lit = lit * lighting.dappled_shade(rng, depth_m, job.camera, light)
     sun = np.asarray(light.sun, np.float32)
     halfway = sun + np.array([0, 0, -1], np.float32)
     halfway /= np.linalg.norm(halfway)

@@ -9,16 +9,8 @@ import cv2
 import numpy as np
 
 from cucumbervision_lab.arrays import Array32, Generator, Pixels
-from cucumbervision_lab.scenes.colors import (
-    Color,
-    jitter,
-    mix,
-    palette,
-    scale_colors,
-    smooth_noise,
-    smoothstep,
-    to_linear,
-)
+from cucumbervision_lab.scenes import colors
+from cucumbervision_lab.scenes.colors import Color
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -114,11 +106,11 @@ class _Look:
     tip_reach: tuple[float, float]
 
 
-_DARK = palette("1c421e 244e22 305c28 1e4830")
-_FRESH = palette("3e7224 4e8228 346624")
-_BRIGHT = palette("60962e 729e34 549024")
-_PALE = palette("80a056 96b06c b0c082 becca0")
-_YELLOW = palette("96a446 acb058 809840")
+_DARK = colors.palette("1c421e 244e22 305c28 1e4830")
+_FRESH = colors.palette("3e7224 4e8228 346624")
+_BRIGHT = colors.palette("60962e 729e34 549024")
+_PALE = colors.palette("80a056 96b06c b0c082 becca0")
+_YELLOW = colors.palette("96a446 acb058 809840")
 
 LOOKS: dict[str, _Look] = {
     # smooth, dark, long: under glass
@@ -190,9 +182,9 @@ def random_skin(rng: Generator, variety: str, assets: Assets) -> Skin:
     def between(limits: tuple[float, float]) -> float:
         return float(rng.uniform(*limits))
 
-    base = jitter(rng, look.bases[rng.integers(len(look.bases))])
-    tip = jitter(rng, look.tips[rng.integers(len(look.tips))])
-    pale = jitter(rng, _PALE[rng.integers(len(_PALE))])
+    base = colors.jitter(rng, look.bases[rng.integers(len(look.bases))])
+    tip = colors.jitter(rng, look.tips[rng.integers(len(look.tips))])
+    pale = colors.jitter(rng, _PALE[rng.integers(len(_PALE))])
     photo = bool(assets.skins) and rng.random() < 0.5
     return Skin(
         base=base,
@@ -246,20 +238,20 @@ def skin_maps(
 
     def noise(grain_m: float, stretch: float = 1.0) -> Array32:
         grain = (stretch * grain_m / row_m, grain_m / column_m)
-        return smooth_noise(rng, (rows, columns), grain, wrap=True)
+        return colors.smooth_noise(rng, (rows, columns), grain, wrap=True)
 
     coarse, fine = noise(0.012, 2.5), noise(0.0016, 1.5)
     wobble = 0.25 * coarse
     color = _ground(skin, along, around, coarse, fine, assets, (row_m, column_m))
     warts, height = _warts(rng, skin, (rows, columns), (row_m, column_m))
     ridges = np.cos(skin.ridges * around + wobble)
-    height += 0.5 * skin.ridge_m * ridges * smoothstep(0.0, 0.08, along * (1 - along) * 4)
+    height += 0.5 * skin.ridge_m * ridges * colors.smoothstep(0.0, 0.08, along * (1 - along) * 4)
     height += 0.00012 * coarse + 0.000015 * fine
     tone = 1 + 0.12 * min(skin.ridge_m / 0.0005, 1.5) * ridges
-    color = scale_colors(color, tone * (1 + (skin.wart_tone - 1) * warts))
+    color = colors.scale_colors(color, tone * (1 + (skin.wart_tone - 1) * warts))
     color = _ends(skin, color, along * length_m, length_m, wobble + 0.2 * fine)
     wax = np.clip(skin.bloom * (0.5 + 0.6 * coarse), 0, 0.5).astype(np.float32)
-    color = mix(color, to_linear((196.0, 208.0, 196.0)), 0.4 * wax)
+    color = colors.mix(color, colors.to_linear((196.0, 208.0, 196.0)), 0.4 * wax)
     gloss = np.clip(skin.gloss * (1 - 0.9 * wax) * (1 + 0.15 * fine), 0, 1)
     relief = np.stack([*_slopes(height, row_m, column_m), gloss], axis=-1)
     return SkinMaps(
@@ -277,23 +269,25 @@ def _ground(
     texel_m: tuple[float, float],
 ) -> Array32:
     # Yellow towards the blossom end, stripes from the blossom end, mottling.
-    ripe = smoothstep(skin.tip_reach, 0.0, along + 0.06 * coarse)
-    color = mix(to_linear(skin.base), to_linear(skin.tip), 0.8 * ripe)
+    ripe = colors.smoothstep(skin.tip_reach, 0.0, along + 0.06 * coarse)
+    color = colors.mix(colors.to_linear(skin.base), colors.to_linear(skin.tip), 0.8 * ripe)
     wave = np.cos(skin.stripes * around + 0.5 * coarse) + 0.35 * np.cos(
         (skin.stripes // 2) * around + 1.0
     )
-    stripe = smoothstep(0.35, 1.1, wave + 0.25 * fine)
-    fade = smoothstep(skin.stripe_reach + 0.1, skin.stripe_reach - 0.35, along + 0.05 * coarse)
-    color = mix(color, to_linear(skin.stripe), skin.stripe_strength * stripe * fade)
+    stripe = colors.smoothstep(0.35, 1.1, wave + 0.25 * fine)
+    fade = colors.smoothstep(
+        skin.stripe_reach + 0.1, skin.stripe_reach - 0.35, along + 0.05 * coarse
+    )
+    color = colors.mix(color, colors.to_linear(skin.stripe), skin.stripe_strength * stripe * fade)
     if skin.texture >= 0 and assets.skins:
         color *= _close_up(assets.skins[skin.texture % len(assets.skins)], coarse.shape, texel_m)
-    return scale_colors(color, 1 + skin.mottle * (fine + 0.7 * coarse))
+    return colors.scale_colors(color, 1 + skin.mottle * (fine + 0.7 * coarse))
 
 
 def _close_up(picture: Pixels, shape: tuple[int, ...], texel_m: tuple[float, float]) -> Array32:
     # Mirrored in both directions to avoid seams; brightness and colour of the photo are removed.
     size = tuple(max(int(_TILE_M / m), 4) for m in reversed(texel_m))
-    tile = to_linear(cv2.resize(picture, size, interpolation=cv2.INTER_AREA))
+    tile = colors.to_linear(cv2.resize(picture, size, interpolation=cv2.INTER_AREA))
     tile /= cv2.GaussianBlur(tile, (0, 0), max(size[0] / 5, 1.0)) + np.float32(0.01)
     tile = np.clip(tile, 0.5, 2.0)
     # Orient the streaks along the fruit.
@@ -325,7 +319,7 @@ def _warts(
     padded = cv2.GaussianBlur(padded, (0, 0), sigmaX=max(right, 0.3), sigmaY=max(down, 0.3))
     peak = 2 * np.pi * max(right, 0.4) * max(down, 0.4)
     bumps = np.minimum(padded[:, pad:-pad] * peak, 1.2)
-    return smoothstep(0.25, 0.9, bumps), np.asarray(skin.wart_m * bumps)
+    return colors.smoothstep(0.25, 0.9, bumps), np.asarray(skin.wart_m * bumps)
 
 
 def _ends(
@@ -334,19 +328,33 @@ def _ends(
     # Blossom end: a corky scar in a pale ring. Stem end: a pale neck with a rim.
     size = np.clip(length_m / 0.2, 0.5, 1.1)
     from_tip_m = from_blossom_m + 0.0012 * noise
-    color = mix(
-        color, to_linear(skin.tip), 0.7 * smoothstep(0.014 * size, 0.004 * size, from_tip_m)
+    color = colors.mix(
+        color,
+        colors.to_linear(skin.tip),
+        0.7 * colors.smoothstep(0.014 * size, 0.004 * size, from_tip_m),
     )
-    color = mix(
-        color, to_linear((150, 128, 84)), 0.85 * smoothstep(0.0058, 0.0036, from_tip_m / size)
+    color = colors.mix(
+        color,
+        colors.to_linear((150, 128, 84)),
+        0.85 * colors.smoothstep(0.0058, 0.0036, from_tip_m / size),
     )
-    color = mix(color, to_linear((92, 70, 44)), 0.8 * smoothstep(0.0026, 0.0012, from_tip_m / size))
+    color = colors.mix(
+        color,
+        colors.to_linear((92, 70, 44)),
+        0.8 * colors.smoothstep(0.0026, 0.0012, from_tip_m / size),
+    )
     from_neck_m = length_m - from_blossom_m + 0.0015 * noise
-    color = scale_colors(color, 1 - 0.3 * smoothstep(0.2 * length_m, 0.04 * length_m, from_neck_m))
-    pale = to_linear((158, 182, 112))
-    color = mix(color, pale, skin.neck * smoothstep(0.016 * size, 0.004 * size, from_neck_m))
-    return mix(
-        color, to_linear((188, 196, 140)), 0.7 * smoothstep(0.0045, 0.0025, from_neck_m / size)
+    color = colors.scale_colors(
+        color, 1 - 0.3 * colors.smoothstep(0.2 * length_m, 0.04 * length_m, from_neck_m)
+    )
+    pale = colors.to_linear((158, 182, 112))
+    color = colors.mix(
+        color, pale, skin.neck * colors.smoothstep(0.016 * size, 0.004 * size, from_neck_m)
+    )
+    return colors.mix(
+        color,
+        colors.to_linear((188, 196, 140)),
+        0.7 * colors.smoothstep(0.0045, 0.0025, from_neck_m / size),
     )
 
 

@@ -12,14 +12,7 @@ import numpy as np
 
 from cucumbervision.errors import CaptureError
 from cucumbervision_lab.arrays import Array32, Generator, Pixels
-from cucumbervision_lab.scenes.colors import (
-    jitter,
-    mix,
-    palette,
-    smooth_noise,
-    smoothstep,
-    to_linear,
-)
+from cucumbervision_lab.scenes import colors
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -100,10 +93,10 @@ def load_assets(folder: Path | None) -> Assets:
         )
     bad: list[str] = []
     assets = Assets(
-        _pictures(folder, "textures/**/*", _SKIN_PX, (), bad),
-        _pictures(folder, "backgrounds/**/*", _BACKGROUND_PX, _SHOWS_FRUIT, bad),
-        _environments(folder, bad),
-        _pictures(folder, "**/leaves/**/*", _LEAF_PX, _SHOWS_FRUIT, bad),
+        tuple(_read_all(folder, "textures/**/*", (), bad, _SKIN_PX)),
+        tuple(_read_all(folder, "backgrounds/**/*", _SHOWS_FRUIT, bad, _BACKGROUND_PX)),
+        tuple(_read_all(folder, "**/hdri*/**/*", (), bad)),
+        tuple(_read_all(folder, "**/leaves/**/*", _SHOWS_FRUIT, bad, _LEAF_PX)),
     )
     if bad:
         names = ", ".join(sorted(set(bad)))
@@ -117,35 +110,17 @@ def load_assets(folder: Path | None) -> Assets:
     return assets
 
 
-def _pictures(
-    folder: Path, pattern: str, longest_px: int, without: Sequence[str], bad: list[str]
-) -> tuple[Pixels, ...]:
-    pictures = []
-    for picture in _read_all(folder, pattern, _PICTURES, without, bad):
-        scale = min(longest_px / max(picture.shape[:2]), 1.0)
-        if scale < 1:
-            picture = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-        pictures.append(np.ascontiguousarray(picture[..., ::-1], np.uint8))
-    return tuple(pictures)
-
-
-def _environments(folder: Path, bad: list[str]) -> tuple[Array32, ...]:
-    environments = []
-    for light in _read_all(folder, "**/hdri*/**/*", _LIGHTS, (), bad):
-        sky = light[..., :3].astype(np.float32)
-        small = cv2.resize(sky, _LIGHT_SIZE, interpolation=cv2.INTER_AREA)
-        environments.append(np.ascontiguousarray(small[..., ::-1], np.float32))
-    return tuple(environments)
-
-
 def _read_all(
-    folder: Path, pattern: str, endings: set[str], without: Sequence[str], bad: list[str]
+    folder: Path, pattern: str, without: Sequence[str], bad: list[str], longest_px: int = 0
 ) -> Iterator[NDArray[Any]]:
-    """Yield the colour pictures that match a pattern, and append unreadable files to `bad`."""
-    flag = cv2.IMREAD_UNCHANGED if endings is _LIGHTS else cv2.IMREAD_COLOR
+    """Yield the colour pictures that match a pattern, or its lights without a longest side.
+
+    Unreadable files are appended to `bad`.
+    """
+    flag = cv2.IMREAD_COLOR if longest_px else cv2.IMREAD_UNCHANGED
     for path in sorted(set(folder.glob(pattern))):
         named = any(word.lower() in path.name.lower() for word in without)
-        if named or path.suffix.lower() not in endings:
+        if named or path.suffix.lower() not in (_PICTURES if longest_px else _LIGHTS):
             continue
         # OpenCV raises for an empty file and returns None for a damaged one.
         try:
@@ -154,8 +129,13 @@ def _read_all(
             picture = None
         if picture is None or picture.ndim != 3 or not np.isfinite(picture).all():
             bad.append(str(path.relative_to(folder)))
-        else:
-            yield np.asarray(picture)
+            continue
+        size = _LIGHT_SIZE
+        if longest_px:
+            scale = min(longest_px / max(picture.shape[:2]), 1.0)
+            size = tuple(round(scale * side) for side in picture.shape[1::-1])
+        small = cv2.resize(picture[..., :3], size, interpolation=cv2.INTER_AREA)
+        yield np.ascontiguousarray(small[..., ::-1], np.uint8 if longest_px else np.float32)
 
 
 LEAF_TEXTURES = 16  # as many there are to choose from
@@ -196,7 +176,7 @@ def leaf_texture(number: int, level: int = 0) -> Array32:
     ahead, aside = s - _BASE, np.abs(t)
     reach = np.hypot(ahead, aside)
     angle = np.arctan2(aside, ahead)
-    wobble = 0.09 * smooth_noise(rng, s.shape, 30)
+    wobble = 0.09 * colors.smooth_noise(rng, s.shape, 30)
     main = np.zeros_like(s)
     side = np.full_like(s, 9.0)
     for degrees in _MAIN_DEG:
@@ -207,16 +187,18 @@ def leaf_texture(number: int, level: int = 0) -> Array32:
         side = np.minimum(side, np.abs(away))
     # Pairs of side veins branch off the main veins at regular steps.
     often = rng.uniform(3.5, 6.0)
-    step = (often * reach * (1 - 0.8 * side) + 0.5 * smooth_noise(rng, s.shape, 30)) % 1.0
-    branch = np.exp(-(((step - 0.5) / 0.07) ** 2)) * smoothstep(0.05, 0.4, reach)
-    branch *= smoothstep(0.75, 0.1, side) * (0.7 + 0.5 * smooth_noise(rng, s.shape, 30))
-    net = np.exp(-((smooth_noise(rng, s.shape, 13) / 0.14) ** 2))
+    step = (often * reach * (1 - 0.8 * side) + 0.5 * colors.smooth_noise(rng, s.shape, 30)) % 1.0
+    branch = np.exp(-(((step - 0.5) / 0.07) ** 2)) * colors.smoothstep(0.05, 0.4, reach)
+    branch *= colors.smoothstep(0.75, 0.1, side) * (
+        0.7 + 0.5 * colors.smooth_noise(rng, s.shape, 30)
+    )
+    net = np.exp(-((colors.smooth_noise(rng, s.shape, 13) / 0.14) ** 2))
     vein = np.clip(np.maximum(main, 0.5 * branch) + 0.22 * net, 0, 1)
-    blisters = -0.8 * vein + 0.4 * smooth_noise(rng, s.shape, 11)
+    blisters = -0.8 * vein + 0.4 * colors.smooth_noise(rng, s.shape, 11)
     height = cv2.GaussianBlur(blisters.astype(np.float32), (0, 0), 1.8)
     across, along = np.gradient(height)
-    patches = smooth_noise(rng, s.shape, 50)
-    grain = smooth_noise(rng, s.shape, 3)
+    patches = colors.smooth_noise(rng, s.shape, 50)
+    grain = colors.smooth_noise(rng, s.shape, 3)
     tone = 1 + 0.14 * patches + 0.09 * grain + 0.22 * blisters
     return np.stack([tone, vein, 3.0 * along, 3.0 * across], axis=-1).astype(np.float32)
 
@@ -249,7 +231,7 @@ def leaf_photo_texture(rng: Generator, assets: Assets) -> tuple[Array32, ...]:
     piece = cv2.resize(
         np.ascontiguousarray(piece), (_BLADE_PX, _BLADE_PX), interpolation=cv2.INTER_AREA
     )
-    light = to_linear(piece)
+    light = colors.to_linear(piece)
     drawing = np.asarray(np.clip(light / (light.mean(axis=(0, 1)) + 0.01), 0.15, 3.0), np.float32)
     return tuple(_coarser(drawing, level) for level in range(_BLADE_LEVELS + 1))
 
@@ -285,14 +267,14 @@ TILE_M = 0.6  # what a tile of material spans
 _TILE_PX = 512
 
 _COLORS: dict[str, tuple[tuple[float, float, float], ...]] = {
-    "wood": palette("b08c62 785638 cdb491 968270"),
-    "steel": palette("aaacae 787c80 c8cacc"),
-    "plastic": palette("282a2c ebecea 285a3c 1e5096 787c80 c43c2c"),
-    "cloth": palette("e1dcd2 606e86 3c423c aa3c3c d6c48c"),
-    "concrete": palette("96948e 6e6c68 bab8b2"),
-    "cardboard": palette("b08e64 c4a478"),
-    "paper": palette("f2f2f0 e0e2e6"),
-    "soil": palette("564230 78624a 3c342c"),
+    "wood": colors.palette("b08c62 785638 cdb491 968270"),
+    "steel": colors.palette("aaacae 787c80 c8cacc"),
+    "plastic": colors.palette("282a2c ebecea 285a3c 1e5096 787c80 c43c2c"),
+    "cloth": colors.palette("e1dcd2 606e86 3c423c aa3c3c d6c48c"),
+    "concrete": colors.palette("96948e 6e6c68 bab8b2"),
+    "cardboard": colors.palette("b08e64 c4a478"),
+    "paper": colors.palette("f2f2f0 e0e2e6"),
+    "soil": colors.palette("564230 78624a 3c342c"),
 }
 
 MATERIALS = tuple(_COLORS)
@@ -301,7 +283,7 @@ MATERIALS = tuple(_COLORS)
 def material_color(rng: Generator, material: str) -> tuple[float, float, float]:
     """Sample a typical colour of a material, sRGB, 0 to 255."""
     choices = _COLORS[material]
-    return jitter(rng, choices[rng.integers(len(choices))], 0.08)
+    return colors.jitter(rng, choices[rng.integers(len(choices))], 0.08)
 
 
 def material_tile(
@@ -334,16 +316,16 @@ def material_tile(
         raise ValueError(f"no material {material!r}: choose one of {', '.join(MATERIALS)}")
     draw = _TONES.get(material, _even)
     tone = draw(rng)
-    stain = smooth_noise(rng, (_TILE_PX, _TILE_PX), 120, wrap=True)
+    stain = colors.smooth_noise(rng, (_TILE_PX, _TILE_PX), 120, wrap=True)
     tone = tone * (1 + 0.06 * stain)
-    tile = to_linear(color) * tone[..., None]
+    tile = colors.to_linear(color) * tone[..., None]
     tile = np.asarray(np.clip(tile, 0.003, 0.95), np.float32)
     sigma_px = 0.5 * pixel_m * _TILE_PX / TILE_M
     return np.asarray(cv2.GaussianBlur(tile, (0, 0), sigma_px)) if sigma_px > 0.3 else tile
 
 
 def _even(rng: Generator) -> Array32:
-    fine = smooth_noise(rng, (_TILE_PX, _TILE_PX), 2, wrap=True)
+    fine = colors.smooth_noise(rng, (_TILE_PX, _TILE_PX), 2, wrap=True)
     tone = 1 + 0.02 * fine
     for _ in range(int(rng.integers(0, 12))):  # scratches
         a, b = rng.integers(0, _TILE_PX, (2, 2)).tolist()
@@ -352,9 +334,9 @@ def _even(rng: Generator) -> Array32:
 
 
 def _boards(rng: Generator) -> Array32:
-    grain = smooth_noise(rng, (_TILE_PX, _TILE_PX), (3, 90), wrap=True)
-    broad = smooth_noise(rng, (_TILE_PX, _TILE_PX), (14, 300), wrap=True)
-    knots = smooth_noise(rng, (_TILE_PX, _TILE_PX), (2, 40), wrap=True)
+    grain = colors.smooth_noise(rng, (_TILE_PX, _TILE_PX), (3, 90), wrap=True)
+    broad = colors.smooth_noise(rng, (_TILE_PX, _TILE_PX), (14, 300), wrap=True)
+    knots = colors.smooth_noise(rng, (_TILE_PX, _TILE_PX), (2, 40), wrap=True)
     tone = 1 + 0.12 * grain + 0.10 * broad + 0.05 * knots
     count = int(rng.integers(1, 9))
     board = np.arange(_TILE_PX) * count // _TILE_PX
@@ -367,33 +349,37 @@ def _boards(rng: Generator) -> Array32:
 
 
 def _brushed(rng: Generator) -> Array32:
-    lines = smooth_noise(rng, (_TILE_PX, _TILE_PX), (1, 200), wrap=True)
-    return np.asarray(1 + 0.05 * lines + 0.05 * smooth_noise(rng, (_TILE_PX, _TILE_PX), (200, 90)))
+    lines = colors.smooth_noise(rng, (_TILE_PX, _TILE_PX), (1, 200), wrap=True)
+    return np.asarray(
+        1 + 0.05 * lines + 0.05 * colors.smooth_noise(rng, (_TILE_PX, _TILE_PX), (200, 90))
+    )
 
 
 def _woven(rng: Generator) -> Array32:
     period = float(rng.uniform(4, 9))
     line = np.arange(_TILE_PX, dtype=np.float32)
     weave = np.sin(2 * np.pi * line / period)[:, None] * np.sin(2 * np.pi * line / period)
-    tone = 1 + 0.12 * weave + 0.06 * smooth_noise(rng, (_TILE_PX, _TILE_PX), 2)
+    tone = 1 + 0.12 * weave + 0.06 * colors.smooth_noise(rng, (_TILE_PX, _TILE_PX), 2)
     if rng.random() < 0.5:  # checks
         check_period = float(rng.uniform(30, 90))
         check = 0.5 * ((line // check_period) % 2)
         tone *= 1 - 0.35 * (check[:, None] + check)
-    return np.asarray(tone * (1 + 0.1 * smooth_noise(rng, (_TILE_PX, _TILE_PX), 90)), np.float32)
+    return np.asarray(
+        tone * (1 + 0.1 * colors.smooth_noise(rng, (_TILE_PX, _TILE_PX), 90)), np.float32
+    )
 
 
 def _rough(rng: Generator) -> Array32:
     layers = [(60, 0.12), (12, 0.10), (3, 0.10)]
     tone = np.ones((_TILE_PX, _TILE_PX), np.float32)
     for grain, spread in layers:
-        tone += spread * smooth_noise(rng, (_TILE_PX, _TILE_PX), grain, wrap=True)
+        tone += spread * colors.smooth_noise(rng, (_TILE_PX, _TILE_PX), grain, wrap=True)
     return np.clip(tone, 0.2, 2)
 
 
 def _clods(rng: Generator) -> Array32:
-    clod = smooth_noise(rng, (_TILE_PX, _TILE_PX), 14, wrap=True)
-    crumb = smooth_noise(rng, (_TILE_PX, _TILE_PX), 4, wrap=True)
+    clod = colors.smooth_noise(rng, (_TILE_PX, _TILE_PX), 14, wrap=True)
+    crumb = colors.smooth_noise(rng, (_TILE_PX, _TILE_PX), 4, wrap=True)
     return np.clip(1 + 0.4 * clod + 0.35 * crumb, 0.12, 2.2)
 
 
@@ -445,13 +431,13 @@ def _photo(rng: Generator, pictures: tuple[Pixels, ...], width: int, height: int
         piece = piece[:, ::-1]
     piece = cv2.resize(np.ascontiguousarray(piece), (width, height), interpolation=cv2.INTER_LINEAR)
     tone = np.exp(rng.normal(0, 0.3)) * (1 + 0.08 * rng.standard_normal(3))
-    light = to_linear(piece) * tone.astype(np.float32)
+    light = colors.to_linear(piece) * tone.astype(np.float32)
     blur = rng.uniform(0, 2.5) * width / 1280
     return np.asarray(cv2.GaussianBlur(light, (0, 0), blur) if blur > 0.3 else light)
 
 
 def _pale(rng: Generator, width: int, height: int, level: float) -> Array32:
-    tone = 1 + 0.12 * smooth_noise(rng, (height, width), width / 3)
+    tone = 1 + 0.12 * colors.smooth_noise(rng, (height, width), width / 3)
     tone += 0.25 * rng.normal() * np.linspace(-1, 1, height, dtype=np.float32)[:, None]
     tone = np.clip(tone, 0.1, 3).astype(np.float32)
     for _ in range(int(rng.integers(0, 7))):  # bars, gutters, posts
@@ -465,12 +451,16 @@ def _pale(rng: Generator, width: int, height: int, level: float) -> Array32:
 
 def _blurred_leaves(rng: Generator, width: int, height: int) -> Array32:
     shape = height // 4 + 1, width // 4 + 1
-    tone = smooth_noise(rng, shape, width / 40) + 0.6 * smooth_noise(rng, shape, width / 110)
-    dark = to_linear(jitter(rng, (30.0, 44.0, 26.0)))
-    light = to_linear(jitter(rng, (104.0, 136.0, 66.0)))
-    view: NDArray[Any] = mix(dark, light, smoothstep(-1.2, 1.4, tone))
-    gap = smoothstep(1.0, 1.3, smooth_noise(rng, shape, width / 60) + rng.uniform(-0.4, 0.3))
-    view = mix(view, (0.8, 0.85, 0.9), gap)
+    tone = colors.smooth_noise(rng, shape, width / 40) + 0.6 * colors.smooth_noise(
+        rng, shape, width / 110
+    )
+    dark = colors.to_linear(colors.jitter(rng, (30.0, 44.0, 26.0)))
+    light = colors.to_linear(colors.jitter(rng, (104.0, 136.0, 66.0)))
+    view: NDArray[Any] = colors.mix(dark, light, colors.smoothstep(-1.2, 1.4, tone))
+    gap = colors.smoothstep(
+        1.0, 1.3, colors.smooth_noise(rng, shape, width / 60) + rng.uniform(-0.4, 0.3)
+    )
+    view = colors.mix(view, (0.8, 0.85, 0.9), gap)
     view = cv2.GaussianBlur(view, (0, 0), rng.uniform(0.6, 3.0))
     level = np.float32(rng.uniform(0.15, 0.8))
     return np.asarray(level * cv2.resize(view, (width, height), interpolation=cv2.INTER_LINEAR))

@@ -12,41 +12,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cucumbervision.fruit.crops import END_PX, PLANES, QUANTILES, EndCrop, EndLook
-from cucumbervision.methods.intervals import (
-    LOOKED,
-    PERCEIVED,
-    IntervalModel,
-    has_no_interval,
-    look_features,
-    shipped_interval_models,
-)
+from cucumbervision.methods import intervals
 from cucumbervision.networks.find import ERROR_SCALE, STATES, EndLooker, looked_at
 from cucumbervision_lab.evaluate.benchmark import (
     TUBE_FEATURES,
     fit_interval_model,
     write_interval_models,
 )
-from cucumbervision_lab.train.classifier import (
-    CHANNELS,
-    LEARNT_FROM,
-    ClassifierOptions,
-    Trained,
-    begun_network,
-    changed_planes,
-    export_network,
-    first_layers,
-    fit,
-    scaled_planes,
-)
-from cucumbervision_lab.train.end_crops import EndCrops
+from cucumbervision_lab.train import classifier
+from cucumbervision_lab.train.end_crops import states_of
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
-    from cucumbervision.fruit.crops import EndLook
     from cucumbervision.methods.selector import LookAtEnds
-    from cucumbervision_lab.train.end_crops import EndCrops
-    from cucumbervision_lab.train.measured_ends import MeasuredFruit
+    from cucumbervision_lab.train.end_crops import MeasuredFruit
+    from cucumbervision_lab.train.fruit_crops import Crops
 
 
 _LIMITS = (
@@ -85,7 +64,7 @@ def make_network(init: Path | str) -> Any:
 
         def __init__(self) -> None:
             super().__init__()
-            layers = first_layers(init)
+            layers = classifier.first_layers(init)
             layers[0].conv = with_planes(layers[0].conv)
             self.trunk = nn.Sequential(*layers).float()
             self.pool = nn.AvgPool2d(END_PX // 16 // _GRID)
@@ -93,7 +72,7 @@ def make_network(init: Path | str) -> Any:
             self.register_buffer("sd", torch.tensor(_SHAPE_SD))
             self.head = nn.Sequential(
                 nn.Dropout(0.2),
-                nn.Linear(CHANNELS * _GRID**2 + 2, _HIDDEN),
+                nn.Linear(classifier.CHANNELS * _GRID**2 + 2, _HIDDEN),
                 nn.SiLU(),
                 nn.Linear(_HIDDEN, OUTPUTS),
             )
@@ -123,12 +102,12 @@ def with_planes(conv: Any) -> Any:
     return widened
 
 
-def fit_look(crops: EndCrops, init: Path | str, options: ClassifierOptions) -> Any:
+def fit_look(crops: Crops, init: Path | str, options: classifier.ClassifierOptions) -> Any:
     """Train the network on the crops that are not held out.
 
     Parameters
     ----------
-    crops : EndCrops
+    crops : recarray of END_CROP
         Of `collect_end_crops`.
     init : Path
         Checkpoint (.pt) to begin with: of YOLO26n, or an earlier one of this network.
@@ -141,16 +120,21 @@ def fit_look(crops: EndCrops, init: Path | str, options: ClassifierOptions) -> A
         The network, ready to predict.
     """
     learnt = np.flatnonzero(~crops.held_out)
-    labels = np.column_stack([crops.state, crops.missing, crops.stem]).astype(np.float32)
+    labels = np.column_stack([states_of(crops), crops.missing, crops.stem]).astype(np.float32)
 
     def loss_of(network: Any, chosen: NDArray[np.intp]) -> Any:
         import torch
 
         rows = learnt[chosen]
-        planes, shapes = scaled_planes(crops.planes[rows]), torch.from_numpy(crops.shapes[rows])
+        planes, shapes = (
+            classifier.scaled_planes(crops.planes[rows]),
+            torch.from_numpy(crops.shapes[rows]),
+        )
         return _loss(network(augmented(planes), shapes), torch.from_numpy(labels[rows]))
 
-    return fit(lambda: begun_network(init, make_network), len(learnt), loss_of, options)
+    return classifier.fit(
+        lambda: classifier.begun_network(init, make_network), len(learnt), loss_of, options
+    )
 
 
 def _loss(output: Any, target: Any) -> Any:
@@ -176,29 +160,31 @@ def augmented(crops: Any) -> Any:
 
     mirrored = (torch.rand(len(crops)) < 0.5)[:, None, None, None]
     crops = torch.where(mirrored, crops.flip(2), crops)
-    return changed_planes(crops, 0.3, no_depth=0.35, side_px=3)
+    return classifier.changed_planes(crops, 0.3, no_depth=0.35, side_px=3)
 
 
-def predict_looks(network: Any, crops: EndCrops) -> list[EndLook]:
+def predict_looks(network: Any, crops: Crops) -> list[EndLook]:
     """Return what the network says of crops, the mean of each and its mirror image."""
     import torch
 
     looks: list[EndLook] = []
     with torch.no_grad():
-        for start in range(0, len(crops.planes), _AT_ONCE):
-            planes = scaled_planes(crops.planes[start : start + _AT_ONCE])
+        for start in range(0, len(crops), _AT_ONCE):
+            planes = classifier.scaled_planes(crops.planes[start : start + _AT_ONCE])
             shapes = torch.from_numpy(crops.shapes[start : start + _AT_ONCE])
             mean = (network(planes, shapes) + network(planes.flip(2), shapes)) / 2
             looks += [looked_at(row) for row in mean.numpy().astype(np.float64)]
     return looks
 
 
-def train_look(crops: EndCrops, init: Path | str, out: Path, options: ClassifierOptions) -> Trained:
+def train_look(
+    crops: Crops, init: Path | str, out: Path, options: classifier.ClassifierOptions
+) -> classifier.Trained:
     """Train the network, export it to ONNX, and judge it by the held-out scenes.
 
     Parameters
     ----------
-    crops : EndCrops
+    crops : recarray of END_CROP
         Of `collect_end_crops`.
     init : Path
         Checkpoint (.pt) of YOLO26n to begin with.
@@ -218,28 +204,28 @@ def train_look(crops: EndCrops, init: Path | str, out: Path, options: Classifier
 
     network = fit_look(crops, init, options)
     inputs = {"crops": torch.zeros(2, PLANES, END_PX, END_PX), "shapes": torch.zeros(2, 2)}
-    export_network(network, out, inputs, ("looks",), "look")
+    classifier.export_network(network, out, inputs, ("looks",), "look")
     return judge_look(network, crops, out)
 
 
-def judge_look(network: Any, crops: EndCrops, out: Path) -> Trained:
+def judge_look(network: Any, crops: Crops, out: Path) -> classifier.Trained:
     """Return how well a network tells the held-out ends apart."""
-    ends = crops.only(crops.held_out & ~crops.moved & ~np.isnan(crops.missing))
+    ends = crops[crops.held_out & ~crops.moved & ~np.isnan(crops.missing)]
     looks = predict_looks(network, ends)
     covered = np.array([look.covered for look in looks])
     outer = np.array([(look.missing[0], look.missing[-1]) for look in looks]).reshape(-1, 2)
     inside = (outer[:, 0] <= ends.missing) & (ends.missing <= outer[:, 1])
     stem = np.array([look.stem > 0.5 for look in looks]) == (ends.stem > 0.5)
     metrics = {
-        LEARNT_FROM: float((~crops.held_out).sum()),
+        classifier.LEARNT_FROM: float((~crops.held_out).sum()),
         "ends of other scenes judged by": float(len(looks)),
         "covered ends told from others, area under the curve": area_under_curve(
-            covered, ends.state == STATES.index("covered")
+            covered, states_of(ends) == STATES.index("covered")
         ),
         "missing length between the outer quantiles": float(inside.mean()) if looks else math.nan,
         "stem and blossom ends told right": float(stem.mean()) if looks else math.nan,
     }
-    return Trained(out, "look", _LIMITS, metrics)
+    return classifier.Trained(out, "look", _LIMITS, metrics)
 
 
 def area_under_curve(scores: NDArray[np.float64], positive: NDArray[np.bool_]) -> float:
@@ -283,7 +269,7 @@ _KEYS = ("M6", "M6 thread", "M6 chord")
 
 
 def looked_fruit(
-    fruit: Sequence[MeasuredFruit], crops: EndCrops, look: LookAtEnds
+    fruit: Sequence[MeasuredFruit], crops: Crops, look: LookAtEnds
 ) -> tuple[list[MeasuredFruit], list[tuple[EndLook, EndLook]]]:
     """Return the held-out fruit on networks' masks, and what a network says of their ends.
 
@@ -291,24 +277,24 @@ def looked_fruit(
     ----------
     fruit : sequence of MeasuredFruit
         As the crops number them.
-    crops : EndCrops
+    crops : recarray of END_CROP
         Both ends of each fruit, one after the other.
     look : callable
         What looks, as `EndLooker.look`.
     """
     drawn = np.array([not measured.given for measured in fruit])[crops.fruit]
-    held = crops.only(crops.held_out & ~crops.moved & drawn)
+    held = crops[crops.held_out & ~crops.moved & drawn]
     looks: list[EndLook] = []
-    for start in range(0, len(held.planes), _AT_ONCE):
-        part = zip(held.planes[start:][:_AT_ONCE], held.shapes[start:][:_AT_ONCE], strict=True)
-        looks += look([EndCrop(planes, (float(a), float(b))) for planes, (a, b) in part])
+    for start in range(0, len(held), _AT_ONCE):
+        part = held[start : start + _AT_ONCE]
+        looks += look([EndCrop(one.planes, tuple(map(float, one.shapes))) for one in part])
     chosen = [fruit[k] for k in held.fruit[::2]]
     return chosen, list(zip(looks[::2], looks[1::2], strict=True))
 
 
 def fit_look_intervals(
     fruit: Sequence[MeasuredFruit], looks: Sequence[tuple[EndLook, EndLook]], level: float = 0.90
-) -> dict[str, IntervalModel]:
+) -> dict[str, intervals.IntervalModel]:
     """Fit interval models of M6's three lengths on fruit whose ends were looked at.
 
     Parameters
@@ -327,20 +313,20 @@ def fit_look_intervals(
         If there are too few fruit for the level.
     """
     candidates = [
-        (measured, {**measured.features, **look_features(pair)})
+        (measured, {**measured.features, **intervals.look_features(pair)})
         for measured, pair in zip(fruit, looks, strict=True)
     ]
     chosen = [
         (measured, row)
         for measured, row in candidates
-        if not (measured.given or measured.cut or has_no_interval(row))
+        if not (measured.given or measured.cut or intervals.has_no_interval(row))
     ]
     features = {name: np.array([row.get(name, 0.0) for _, row in chosen]) for name in LOOK_FEATURES}
     names = [measured.picture for measured, _ in chosen]
     models = {}
     for k, key in enumerate(_KEYS):
         errors = np.log([measured.lengths_m[k] / measured.true_m[k] for measured, _ in chosen])
-        name = key + PERCEIVED + LOOKED
+        name = key + intervals.PERCEIVED + intervals.LOOKED
         models[name] = fit_interval_model(
             name,
             errors,
@@ -355,7 +341,7 @@ def fit_look_intervals(
 
 
 def learn_look_intervals(
-    fruit: Sequence[MeasuredFruit], crops: EndCrops, network: Path, file: Path
+    fruit: Sequence[MeasuredFruit], crops: Crops, network: Path, file: Path
 ) -> int:
     """Write the shipped intervals with those by a network's looks; return how many fruit taught it.
 
@@ -363,7 +349,7 @@ def learn_look_intervals(
     """
     chosen, looks = looked_fruit(fruit, crops, EndLooker(network).look)
     if len(chosen) >= LEAST_FRUIT:
-        book = shipped_interval_models()
+        book = intervals.shipped_interval_models()
         models = {**book.models, **fit_look_intervals(chosen, looks)}
         write_interval_models(file, replace(book, models=models))
     return len(chosen)

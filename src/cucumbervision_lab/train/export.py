@@ -242,28 +242,20 @@ _OPSET = 17
 
 
 def export_yolo(
-    model: Any,
-    out: Path | str,
-    *,
-    size_px: int = 640,
-    dynamic: bool = True,
-    half: bool = True,
-    input_sizes: Sequence[int] = (),
+    model: Any, out: Path, *, size_px: int = 640, input_sizes: Sequence[int] = ()
 ) -> Path:
-    """Export a network's one-to-one head to ONNX with raw output.
+    """Export a network's one-to-one head to ONNX with raw output, for any size of the input.
+
+    Weights are stored in half precision; inputs and outputs stay float32.
 
     Parameters
     ----------
     model : ultralytics.YOLO
         The network, from `load_yolo`.
-    out : Path or str
+    out : Path
         The ONNX file to write.
     size_px : int
-        Height and width of the input; a multiple of the stride.
-    dynamic : bool
-        Accept any input size.
-    half : bool
-        Store the weights in half precision; inputs and outputs stay float32.
+        Height and width of the input that the network is traced with; a multiple of the stride.
     input_sizes : sequence of int
         Default long sides of the input at inference, pixels; if empty, `size_px`.
 
@@ -282,7 +274,6 @@ def export_yolo(
         raise ModelError(
             "the network has no one-to-one head", source=model.ckpt_path, remedy="use YOLO26"
         )
-    out = Path(out)
     with tempfile.TemporaryDirectory() as folder:
         # Ultralytics writes next to the checkpoint: redirect the output to a temporary folder.
         model.ckpt_path = model.model.pt_path = str(Path(folder) / "network.pt")
@@ -294,7 +285,7 @@ def export_yolo(
                 written = model.export(
                     format="onnx",
                     imgsz=size_px,
-                    dynamic=dynamic,
+                    dynamic=True,
                     opset=_OPSET,
                     simplify=False,
                     nms=False,
@@ -310,7 +301,7 @@ def export_yolo(
             "end2end": "False",
             ONE_TO_ONE_KEY: "True",
         }
-        _finish(Path(written), metadata, half=half)
+        _finish(Path(written), metadata)
         shutil.move(written, out)
     return out
 
@@ -326,7 +317,7 @@ def _corners_to_centres(rows: Any) -> Any:
     return torch.cat(((lower + upper) / 2, upper - lower, scores), dim=-1).permute(0, 2, 1)
 
 
-def _finish(path: Path, metadata: dict[str, str], *, half: bool) -> None:
+def _finish(path: Path, metadata: dict[str, str]) -> None:
     """Add the non-empty metadata, and store the weights in half precision.
 
     Exporting the same weights gives identical bytes, so a card's evaluation stays valid after
@@ -341,10 +332,9 @@ def _finish(path: Path, metadata: dict[str, str], *, half: bool) -> None:
     entries.pop("date", None)
     entries |= {key: value for key, value in metadata.items() if value}
     onnx.helper.set_model_props(network, entries)
-    if half:
-        # Ultralytics' half precision also computes in float16, where coordinates from 512 px on
-        # are rounded to half pixels.
-        halve_storage(network)
+    # Ultralytics' half precision also computes in float16, where coordinates from 512 px on are
+    # rounded to half pixels.
+    halve_storage(network)
     onnx.save(network, path)
 
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, TypeAlias
 from zlib import crc32
 
 import cv2
@@ -22,8 +22,8 @@ from cucumbervision.fruit.masks import box_ious, mask_iou
 from cucumbervision.networks import CANDIDATE_CONFIDENCE
 from cucumbervision.networks.find import NetworkLoader
 from cucumbervision.networks.yolo import YoloDetector
-from cucumbervision_lab.arrays import Array, Array32, Mask, Pixels, Progress
-from cucumbervision_lab.data.labels import KEYPOINT_ORDER, DataSet, Label, LabelledPicture, ticked
+from cucumbervision_lab.arrays import Array, Mask, Pixels, Progress
+from cucumbervision_lab.data.labels import KEYPOINT_ORDER, DataSet, Label, LabelledPicture
 from cucumbervision_lab.data.splits import is_held_out
 from cucumbervision_lab.evaluate.pictures import capture_of, frame_of
 from cucumbervision_lab.evaluate.scenes import true_positives
@@ -35,75 +35,47 @@ _HELD_OUT = 8  # one of so many scenes is used for validation, as is the split v
 _MOST = 12  # candidates of a picture that are cut out
 _LEAST_IOU = 0.3  # of a detection's mask with a label's
 _KEPT_TOGETHER = 50  # pictures
-_FIELDS: dict[str, tuple[Any, tuple[int, ...]]] = {
-    "planes": (np.uint8, (*SURROUND_PX, PLANES)),
-    "outlines": (np.uint8, SURROUND_PX),
-    "has_outline": (np.bool_, ()),
-    "points": (np.float32, (5, 2)),
-    "visible": (np.float32, (5,)),
-    "stem": (np.float32, ()),
-    "is_fruit": (np.float32, ()),
-    "confidence": (np.float32, ()),
-    "held_out": (np.bool_, ()),
-}
+
+FRUIT_CROP = np.dtype(
+    [
+        ("planes", np.uint8, (*SURROUND_PX, PLANES)),
+        ("outlines", np.uint8, SURROUND_PX),
+        ("has_outline", np.bool_),
+        ("points", np.float32, (5, 2)),
+        ("visible", np.float32, (5,)),
+        ("stem", np.float32),
+        ("is_fruit", np.float32),
+        ("confidence", np.float32),
+        ("held_out", np.bool_),
+    ],
+    align=True,  # as torch wants arrays
+)
+"""Crops around what a detector proposes.
+
+`planes` as `FruitCrop.planes`; `outlines`, the share of each pixel that belongs to the visible
+fruit, 0 to 255, and whether it is known; `points`, the keypoints from the left end to the right one
+in pixels of the crop's middle part of 112 by 256, and whether each is visible; `stem`, whether the
+right end is the stem end; `is_fruit`, whether it is a cucumber, NaN for parts of one and ignored
+regions; the detector's `confidence`, 0 to 1; `held_out`, whether the scene belongs to the
+validation set. What is not known is NaN.
+"""
+
+Crops: TypeAlias = "np.recarray[Any, Any]"
+"""Crops with a field for each of their properties."""
 
 
-@dataclass(frozen=True, eq=False)
-class Crops:
-    """Arrays with an entry for each crop."""
+def crops_of(rows: Sequence[tuple[Any, ...]], kind: np.dtype[Any]) -> Crops:
+    """Return rows of fields as an array of crops.
 
-    def only(self, chosen: NDArray[Any]) -> Self:
-        """Return some of the crops."""
-        return type(self)(*(getattr(self, name)[chosen] for name in self.__dataclass_fields__))
-
-    @classmethod
-    def stacked(cls, parts: Sequence[Self]) -> Self:
-        """Return several crops as one."""
-        names = cls.__dataclass_fields__
-        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
-
-
-@dataclass(frozen=True, eq=False)
-class FruitCrops(Crops):
-    """Crops around what a detector proposes.
-
-    Parameters
-    ----------
-    planes : ndarray of uint8, shape (N, 128, 288, 6)
-        As `FruitCrop.planes`, of the size `SURROUND_PX`.
-    outlines : ndarray of uint8, shape (N, 128, 288)
-        Share of each pixel that belongs to the visible fruit, 0 to 255.
-    has_outline : ndarray of bool, shape (N,)
-        Whether the outline is known.
-    points : ndarray of float32, shape (N, 5, 2)
-        Keypoints from the left end to the right one, in pixels of the crop's middle part of 112
-        by 256; NaN where they are not known.
-    visible : ndarray of float32, shape (N, 5)
-        Whether each is visible; NaN where that is not known.
-    stem : ndarray of float32, shape (N,)
-        Whether the right end is the stem end; NaN where that is not known.
-    is_fruit : ndarray of float32, shape (N,)
-        Whether it is a cucumber; NaN for parts of one and ignored regions.
-    confidence : ndarray of float32, shape (N,)
-        The detector's confidence, 0 to 1.
-    held_out : ndarray of bool, shape (N,)
-        Whether the scene belongs to the validation set.
+    Examples
+    --------
+    >>> crops_of([(0.5, True)], np.dtype([("missing", float), ("moved", bool)])).missing
+    array([0.5])
     """
-
-    planes: Pixels
-    outlines: Pixels
-    has_outline: Mask
-    points: Array32
-    visible: Array32
-    stem: Array32
-    is_fruit: Array32
-    confidence: Array32
-    held_out: Mask
+    return np.array(list(rows), kind).view(np.recarray)
 
 
-def collect_sets(
-    sets: Sequence[DataSet], keep: Path, progress: Progress | None = None
-) -> FruitCrops:
+def collect_sets(sets: Sequence[DataSet], keep: Path, progress: Progress | None = None) -> Crops:
     """Cut out what the packaged detector proposes in data sets.
 
     Parameters
@@ -128,18 +100,17 @@ def collect_sets(
         for start in range(0, len(dataset.pictures), _KEPT_TOGETHER):
             pictures = dataset.pictures[start : start + _KEPT_TOGETHER]
             identity = f"{[(picture.file, len(picture.labels)) for picture in pictures]}"
-            file = keep / f"{number}-{start:06d}-{crc32(identity.encode()):08x}.npz"
+            file = keep / f"{number}-{start:06d}-{crc32(identity.encode()):08x}.npy"
             if not file.exists():
                 detector = detector or proposing_detector()
-                crops = collect_fruit_crops(replace(dataset, pictures=pictures), None, detector)
+                crops = collect_fruit_crops(replace(dataset, pictures=pictures), detector)
                 packed = BytesIO()
-                np.savez(packed, **{name: getattr(crops, name) for name in _FIELDS})
+                np.save(packed, crops)
                 write_bytes(file, packed.getvalue())
-            with np.load(file) as stored:
-                parts.append(FruitCrops(**{name: stored[name] for name in stored}))
+            parts.append(np.load(file))
             if progress is not None:
                 progress(len(pictures))
-    crops = FruitCrops.stacked(parts or [_of_rows([])])
+    crops = np.concatenate([crops_of([], FRUIT_CROP), *parts]).view(np.recarray)
     taught = crops.has_outline | ~np.isnan(crops.is_fruit) | ~np.isnan(crops.points).any((1, 2))
     if not (taught & crops.held_out).any() or crops.held_out[taught].all():
         raise TrainingError(
@@ -147,12 +118,10 @@ def collect_sets(
             source=sets[0].folder if sets else None,
             remedy=f"give at least {_HELD_OUT} scenes with fruit",
         )
-    return crops.only(taught)
+    return crops[taught]
 
 
-def collect_fruit_crops(
-    dataset: DataSet, progress: Progress | None = None, detector: YoloDetector | None = None
-) -> FruitCrops:
+def collect_fruit_crops(dataset: DataSet, detector: YoloDetector | None = None) -> Crops:
     """Cut out what the packaged detector proposes in a data set.
 
     Parameters
@@ -160,10 +129,12 @@ def collect_fruit_crops(
     dataset : DataSet
         Completely labelled pictures, also such without fruit. Those of the split 'test' are
         skipped; the split 'val' is used for validation.
-    progress : callable, optional
-        Called with 1 after each picture.
     detector : YoloDetector, optional
         Result of `proposing_detector`, which is loaded if it is not given.
+
+    Returns
+    -------
+    recarray of FRUIT_CROP
 
     Raises
     ------
@@ -172,7 +143,7 @@ def collect_fruit_crops(
     """
     detector = proposing_detector() if detector is None else detector
     rows: list[tuple[Any, ...]] = []
-    for picture in ticked(dataset.pictures, progress):
+    for picture in dataset.pictures:
         if picture.split == "test":
             continue
         held = is_held_out(picture, _HELD_OUT)
@@ -188,7 +159,7 @@ def collect_fruit_crops(
             crop = fruit_crop(color, depth_m, instance.detector_mask, focal_px, SURROUND_PX)
             if crop is not None:
                 rows.append((*_row(crop, instance, is_fruit, picture), instance.confidence, held))
-    return _of_rows(rows)
+    return crops_of(rows, FRUIT_CROP)
 
 
 def proposing_detector() -> YoloDetector:
@@ -207,16 +178,6 @@ def _labels_of(
     overlap = box_ious(boxes, unknown.reshape(-1, 4)).max(axis=1, initial=0.0)
     judged = true_positives(frame, boxes)
     return [None if share > 0 and not y else y for y, share in zip(judged, overlap, strict=True)]
-
-
-def _of_rows(rows: Sequence[tuple[Any, ...]]) -> FruitCrops:
-    columns = zip(*rows, strict=True) if rows else ([] for _ in _FIELDS)
-    return FruitCrops(
-        *(
-            np.array(list(column), kind).reshape(len(rows), *shape)
-            for column, (kind, shape) in zip(columns, _FIELDS.values(), strict=True)
-        )
-    )
 
 
 def _row(

@@ -11,19 +11,9 @@ from numpy.typing import NDArray
 from cucumbervision.fruit.crops import HEIGHT_PX, PLANES, WIDTH_PX
 from cucumbervision.networks import DEFAULT_CONFIDENCE
 from cucumbervision_lab.arrays import Array, Array32, Mask
-from cucumbervision_lab.train.classifier import (
-    CHANNELS,
-    LEARNT_FROM,
-    ClassifierOptions,
-    Trained,
-    begun_network,
-    changed_planes,
-    export_network,
-    first_layers,
-    fit,
-)
+from cucumbervision_lab.train import classifier
 from cucumbervision_lab.train.end_look import area_under_curve, with_planes
-from cucumbervision_lab.train.fruit_crops import SURROUND_PX, FruitCrops
+from cucumbervision_lab.train.fruit_crops import SURROUND_PX, Crops
 
 POINTS = 5
 _LIMITS = (
@@ -78,15 +68,16 @@ def make_network(init: Path | str) -> Any:
 
         def __init__(self) -> None:
             super().__init__()
-            layers = [layer.float() for layer in first_layers(init)]
+            layers = [layer.float() for layer in classifier.first_layers(init)]
             layers[0].conv = with_planes(layers[0].conv)
             self.stages = nn.ModuleList(
                 nn.Sequential(*part) for part in (layers[:1], layers[1:3], layers[3:5], layers[5:])
             )
             w8, w4, w2, w1 = _WIDTHS
-            self.context = nn.Linear(CHANNELS * _ENDS, w8)
+            self.context = nn.Linear(classifier.CHANNELS * _ENDS, w8)
             self.reduced = nn.ModuleList(
-                nn.Conv2d(*pair, 1) for pair in ((CHANNELS, w8), (128, w8), (64, w4), (16, w2))
+                nn.Conv2d(*pair, 1)
+                for pair in ((classifier.CHANNELS, w8), (128, w8), (64, w4), (16, w2))
             )
             self.upward = nn.ModuleList(
                 _block(*pair) for pair in ((w8, w8), (w8, w4), (w4, w2), (w2, w1))
@@ -94,13 +85,16 @@ def make_network(init: Path | str) -> Any:
             self.outline = nn.Sequential(_block(w1 + PLANES, w1), nn.Conv2d(w1, 1, 1))
             self.points = nn.Sequential(_block(w8, w8), nn.Conv2d(w8, POINTS * 4, 1))
             self.verdict = nn.Sequential(
-                nn.Dropout(0.2), nn.Linear(CHANNELS * _ENDS, 64), nn.SiLU(), nn.Linear(64, 2)
+                nn.Dropout(0.2),
+                nn.Linear(classifier.CHANNELS * _ENDS, 64),
+                nn.SiLU(),
+                nn.Linear(64, 2),
             )
             self.stem = nn.Sequential(
                 nn.AvgPool2d((HEIGHT_PX // 16, 1)),
                 nn.Flatten(),
                 nn.Dropout(0.2),
-                nn.Linear(CHANNELS * WIDTH_PX // 16, 1),
+                nn.Linear(classifier.CHANNELS * WIDTH_PX // 16, 1),
             )
             rows, columns = HEIGHT_PX // 8, WIDTH_PX // 8
             y, x = torch.meshgrid(
@@ -133,12 +127,12 @@ def make_network(init: Path | str) -> Any:
     return FruitNetwork().requires_grad_(True)
 
 
-def fit_fruit(crops: FruitCrops, init: Path | str, options: ClassifierOptions) -> Any:
+def fit_fruit(crops: Crops, init: Path | str, options: classifier.ClassifierOptions) -> Any:
     """Train the network.
 
     Parameters
     ----------
-    crops : FruitCrops
+    crops : recarray of FRUIT_CROP
         Of `collect_fruit_crops`; those held out are not learnt from.
     init : Path
         Checkpoint (.pt) of YOLO26n, or of this network.
@@ -161,20 +155,18 @@ def fit_fruit(crops: FruitCrops, init: Path | str, options: ClassifierOptions) -
             answer = network(planes.contiguous(memory_format=torch.channels_last))
         return loss(tuple(part.float() for part in answer), *truth)
 
-    return fit(lambda: begun_network(init, make_network), len(learnt), loss_of, options)
+    return classifier.fit(
+        lambda: classifier.begun_network(init, make_network), len(learnt), loss_of, options
+    )
 
 
-def as_batch(crops: FruitCrops, rows: NDArray[np.intp]) -> tuple[Any, ...]:
+def as_batch(crops: Crops, rows: NDArray[np.intp]) -> tuple[Any, ...]:
     """Return crops as tensors: planes and outline in 0 to 1, and what is known of them."""
     import torch
 
-    planes = torch.from_numpy(np.ascontiguousarray(crops.planes[rows].transpose(0, 3, 1, 2)))
-    outline = torch.from_numpy(crops.outlines[rows])[:, None]
+    planes = np.concatenate([crops.planes[rows], crops.outlines[rows][..., None]], 3)
     truth = (crops.has_outline, crops.points, crops.visible, crops.stem, crops.is_fruit)
-    return (
-        torch.cat([planes, outline], 1).float() / 255,
-        *(torch.from_numpy(part[rows]) for part in truth),
-    )
+    return classifier.scaled_planes(planes), *(torch.from_numpy(part[rows]) for part in truth)
 
 
 def loss(
@@ -220,7 +212,9 @@ def augmented(
     planes, points, visible, stem = moved(planes, points, visible, stem)
     side_px = 2 * int(torch.randint(1, 4, ())) + 1
     light = shade(len(planes))
-    changed = changed_planes(planes[:, :6], 0.25, no_depth=0.25, side_px=side_px, shade=light)
+    changed = classifier.changed_planes(
+        planes[:, :6], 0.25, no_depth=0.25, side_px=side_px, shade=light
+    )
     return changed, planes[:, 6], has_outline, points, visible, stem, is_fruit
 
 
@@ -303,7 +297,7 @@ def shade(count: int) -> Any:
     return along.exp().clamp(0.25, 2.0)
 
 
-def predict_fruit(network: Any, crops: FruitCrops) -> tuple[Array32, ...]:
+def predict_fruit(network: Any, crops: Crops) -> tuple[Array32, ...]:
     """Return outlines, keypoints and verdicts of the middle parts of crops.
 
     As in use, each is the mean for a crop and the same turned by half a turn.
@@ -314,7 +308,7 @@ def predict_fruit(network: Any, crops: FruitCrops) -> tuple[Array32, ...]:
     sign, opposite = torch.tensor([-1.0, -1.0, 1.0]), torch.tensor([1.0, -1.0])
     answers = []
     with torch.no_grad():
-        for rows in np.array_split(np.arange(len(crops.planes)), len(crops.planes) // _AT_ONCE + 1):
+        for rows in np.array_split(np.arange(len(crops)), len(crops) // _AT_ONCE + 1):
             planes = as_batch(crops, rows)[0][:, :PLANES, *_INNER]
             outline, points, verdict = network(planes)
             turned_outline, turned_points, turned_verdict = network(planes.flip(2, 3))
@@ -328,9 +322,9 @@ def predict_fruit(network: Any, crops: FruitCrops) -> tuple[Array32, ...]:
     return first, second, third
 
 
-def judge_fruit(network: Any, crops: FruitCrops, out: Path) -> Trained:
+def judge_fruit(network: Any, crops: Crops, out: Path) -> classifier.Trained:
     """Return how well a network does on the held-out crops."""
-    held = crops.only(crops.held_out)
+    held = crops[crops.held_out]
     outlines, points, verdicts = predict_fruit(network, held)
     fruit = (held.is_fruit == 1) & held.has_outline
     truth = held.outlines[fruit][:, *_INNER] > 127
@@ -342,8 +336,8 @@ def judge_fruit(network: Any, crops: FruitCrops, out: Path) -> Trained:
     right = (verdicts[directed, 1] > 0) == (held.stem[directed] == 1)
     judged = ~np.isnan(held.is_fruit)
     metrics = {
-        LEARNT_FROM: float((~crops.held_out).sum()),
-        "crops of other scenes judged by": float(len(held.planes)),
+        classifier.LEARNT_FROM: float((~crops.held_out).sum()),
+        "crops of other scenes judged by": float(len(held)),
         "IoU of the detector's masks, median": _median(_ious(coarse, truth)),
         "IoU of the network's outlines, median": _median(_ious(outlines[fruit] > 0, truth)),
         "error of an end relative to the length, median": _median(
@@ -354,7 +348,7 @@ def judge_fruit(network: Any, crops: FruitCrops, out: Path) -> Trained:
         ),
         "stem ends told right": float(right.mean()) if right.size else float("nan"),
     }
-    return Trained(out, "fruit", _LIMITS, metrics)
+    return classifier.Trained(out, "fruit", _LIMITS, metrics)
 
 
 def _median(values: NDArray[Any]) -> float:
@@ -367,13 +361,13 @@ def _ious(masks: Mask, truth: Mask) -> Array:
 
 
 def train_fruit(
-    crops: FruitCrops, init: Path | str, out: Path, options: ClassifierOptions
-) -> Trained:
+    crops: Crops, init: Path | str, out: Path, options: classifier.ClassifierOptions
+) -> classifier.Trained:
     """Train the network, export it to ONNX, and judge it by the held-out scenes.
 
     Parameters
     ----------
-    crops : FruitCrops
+    crops : recarray of FRUIT_CROP
         Of `collect_fruit_crops`.
     init : Path
         Checkpoint (.pt) of YOLO26n, or of this network, to begin with.
@@ -393,5 +387,5 @@ def train_fruit(
 
     network = fit_fruit(crops, init, options)
     crop = {"crops": torch.zeros(2, PLANES, HEIGHT_PX, WIDTH_PX)}
-    export_network(network, out, crop, ("outline", "points", "verdict"), "fruit")
+    classifier.export_network(network, out, crop, ("outline", "points", "verdict"), "fruit")
     return judge_fruit(network, crops, out)

@@ -12,14 +12,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
+from cucumbervision.accuracy.statistics import estimate
 from cucumbervision.errors import TrainingError
 from cucumbervision.networks import DEFAULT_CONFIDENCE
 from cucumbervision.networks.registry import JUDGEMENT, file_sha256, load_registry
 from cucumbervision_lab.data.coco import ANNOTATIONS, read_coco
 from cucumbervision_lab.data.labels import DataSet
-from cucumbervision_lab.evaluate.outcomes import Score, detection_rows, fruit_rows, overall
-from cucumbervision_lab.evaluate.photos import audited_photos, evaluate_photos
+from cucumbervision_lab.evaluate.outcomes import Evaluation, Score
 from cucumbervision_lab.evaluate.pictures import detect_set, open_networks, spread
+from cucumbervision_lab.evaluate.scenes import audited_photos, evaluate_photos
 from cucumbervision_lab.scenes.generate import FrameOptions, SynthOptions, generate
 from cucumbervision_lab.train.export import export_trained, write_card
 from cucumbervision_lab.train.network import TrainOptions, photo_set, train
@@ -53,14 +56,10 @@ class DetectorScore:
     @classmethod
     def of(cls, test: str, score: Score) -> DetectorScore:
         """Create the score from a score of the evaluation."""
-        # An undefined recall or precision would be NaN, for which every comparison is False.
-        (recall, fruit), (precision, finds) = (
-            (estimate.value, estimate.count)
-            if estimate is not None and estimate.count
-            else (0.0, 0)
-            for estimate in (score.recall, score.precision)
-        )
-        return cls(test, recall, precision, fruit, finds)
+        # Without fruit or detections a value is NaN, for which every comparison is False.
+        recall, precision = score.recall, score.precision or estimate([])
+        values = (float(np.nan_to_num(part.value)) for part in (recall, precision))
+        return cls(test, *values, recall.count, precision.count)
 
     @property
     def f1(self) -> float:
@@ -223,12 +222,10 @@ def evaluate_detector(
         Maximum number of photos, evenly spaced.
     """
     networks = open_networks(network, None, None, ranked=False, as_in_use=True)
-    threshold = networks.confidence
     scores = []
     for name, data in (("house, held out", held_out_set(house)), ("drawn", read_coco(drawn))):
-        frames = detect_set(data, networks)
-        score = overall(fruit_rows(frames, threshold), detection_rows(frames, threshold))
-        scores.append(DetectorScore.of(name, score))
+        result = Evaluation(data, networks, detect_set(data, networks))
+        scores.append(DetectorScore.of(name, result.score()))
     if photos is not None:
         tested, _ = audited_photos(photos)
         sample = replace(tested, pictures=spread(tested.pictures, limit))

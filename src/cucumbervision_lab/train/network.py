@@ -28,10 +28,11 @@ from cucumbervision_lab.data.labels import (
     DataSet,
     Label,
     LabelledPicture,
+    keep_classes,
     keypoints_of_mask,
 )
 from cucumbervision_lab.data.yolo import write_yolo
-from cucumbervision_lab.evaluate.photos import audited
+from cucumbervision_lab.evaluate.scenes import audited
 
 _INTEGRATIONS = ("clearml", "comet", "dvc", "mlflow", "neptune", "raytune", "tensorboard", "wandb")
 
@@ -371,6 +372,7 @@ DATA_CARD = "data.md"
 
 _KEYPOINTS = 5
 _MOST_HIDDEN = 0.05
+_FRUIT = ("cucumber", "zucchini")  # classes of the audit
 
 
 def open_sets(folders: Sequence[Path]) -> list[DataSet]:
@@ -520,7 +522,7 @@ def photo_set(folder: Path, out: Path) -> DataSet:
     """
     from cucumbervision.networks.find import open_segmenter
 
-    audit = audited(folder, outlines=True)
+    audit = keep_classes(audited(folder, outlines=True), dict.fromkeys(_FRUIT, "cucumber"))
     pictures = tuple(
         replace(picture, extras={})
         for picture in audit.pictures
@@ -532,10 +534,11 @@ def photo_set(folder: Path, out: Path) -> DataSet:
 
 def _with_axis_points(label: Label) -> Label:
     mask = label.mask
+    ends = None if label.keypoints is None else label.keypoints[[0, -1], :2]
+    label = replace(label, keypoints=None)
     hidden = (label.hidden_share or 0.0) > _MOST_HIDDEN
-    if mask is None or label.keypoints is not None or label.ignore or label.cut_off or hidden:
+    if mask is None or label.ignore or label.cut_off or hidden:
         return label
-    ends = label.extras.get("ends_px")
     points = None if ends is None else keypoints_between(mask, ends)
     if points is not None:
         return replace(label, keypoints=np.column_stack([points, np.full(len(points), 2.0)]))

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.simulated_houses import HouseSettings, simulate_house
+from cucumbervision_lab.evaluate.harvests import HouseSettings, simulate_house
 
 from cucumbervision.crop.profiles import load_profile
 from cucumbervision_greenhouse.forecast.growth import (

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,15 +10,10 @@ import pytest
 
 from cucumbervision.capture.pictures import write_png
 from cucumbervision.errors import DataSetError
-from cucumbervision_lab.data.coco import collect_fragments, read_coco, write_coco, write_fragment
+from cucumbervision_lab.data.coco import coco_entries, read_coco, write_coco
 from cucumbervision_lab.data.labels import DataSet, Label, LabelledPicture
 
 MakeSet = Callable[..., DataSet]
-
-
-def content(picture: LabelledPicture, folder: Path) -> str:
-    """Everything that is known of a picture."""
-    return write_fragment(picture, folder / "content.json").read_text()
 
 
 def test_the_hub_form_gives_everything_back(make_set: MakeSet, tmp_path: Path) -> None:
@@ -29,7 +25,8 @@ def test_the_hub_form_gives_everything_back(make_set: MakeSet, tmp_path: Path) -
     assert back.categories == ("cucumber",)
     assert back.folder == written.folder == out
     for a, b in zip(dataset.pictures, back.pictures, strict=True):
-        assert content(a, tmp_path) == content(b, tmp_path)
+        assert coco_entries(a)["annotations"] == coco_entries(b)["annotations"]
+        assert (a.scene, a.split, a.camera, a.extras) == (b.scene, b.split, b.camera, b.extras)
         assert a.labels[0].mask_code == b.labels[0].mask_code
         assert back.path(b).read_bytes() == dataset.path(a).read_bytes()
         assert b.depth_file is not None
@@ -52,38 +49,19 @@ def test_annotations_are_coco_for_other_tools(make_set: MakeSet) -> None:
     assert found["num_keypoints"] == 4
 
 
-def test_fragments_collect_to_the_same_set(make_set: MakeSet, tmp_path: Path) -> None:
-    dataset = make_set()
-    for k, picture in enumerate(dataset.pictures):
-        write_fragment(picture, dataset.folder / f"fragments/{k:06d}.json")
-    assert not list(dataset.folder.rglob("*.part"))
-    back = collect_fragments(dataset.folder)
-    assert back.refused == ()
-    for a, b in zip(dataset.pictures, back.pictures, strict=True):
-        assert content(a, tmp_path) == content(b, tmp_path)
-
-
-def test_a_damaged_fragment_loses_only_itself(make_set: MakeSet) -> None:
-    dataset = make_set()
-    for k, picture in enumerate(dataset.pictures):
-        write_fragment(picture, dataset.folder / f"fragments/{k}.json")
-    broken = dataset.folder / "fragments/1.json"
-    broken.write_text(broken.read_text()[:90])
-    (dataset.folder / "fragments/2.json").write_text('{"image": {}}')
-    back = collect_fragments(dataset.folder)
-    assert [p.file for p in back.pictures] == ["images/000000.png", "images/000003.png"]
-    assert [Path(str(e.source)).name for e in back.refused] == ["1.json", "2.json"]
-
-
 def test_numbers_of_numpy_are_written_and_nan_is_refused(make_set: MakeSet, tmp_path: Path) -> None:
-    picture = make_set().pictures[0]
-    label = Label(np.array([1.0, 2, 30, 40]), extras={"radius_m": np.array([0.0, 0.02])})
-    file = tmp_path / "a.json"
-    write_fragment(LabelledPicture(picture.file, 160, 120, (label,)), file)
-    assert json.loads(file.read_text())["annotations"][0]["extras"] == {"radius_m": [0.0, 0.02]}
-    bad = Label(np.array([1.0, 2, 30, 40]), extras={"thread_m": float("nan")})
+    dataset = make_set()
+
+    def write(**extras: object) -> None:
+        label = Label(np.array([1.0, 2, 30, 40]), extras=extras)
+        picture = replace(dataset.pictures[0], labels=(label,))
+        write_coco(replace(dataset, pictures=(picture,)), tmp_path / "out")
+
+    write(radius_m=np.array([0.0, 0.02]))
+    (annotation,) = json.loads((tmp_path / "out/annotations.json").read_text())["annotations"]
+    assert annotation["extras"] == {"radius_m": [0.0, 0.02]}
     with pytest.raises(DataSetError, match="cannot be written as JSON"):
-        write_fragment(LabelledPicture(picture.file, 160, 120, (bad,)), file)
+        write(thread_m=float("nan"))
 
 
 def roboflow(folder: Path) -> None:

@@ -81,8 +81,8 @@ def test_what_people_said_of_finds_becomes_labels(store: Store, tmp_path: Path) 
     drawn = mask_at(22, width=12)
     store.correct(corrected, FruitRow(2, mask=encode_rle(drawn), flags="cut-by-frame"))
     store.add_fruit(stop, "a", FruitRow(1, mask=encode_rle(mask_at(50))))
-    made = dataset_from_store(store, tmp_path / "set", licence="CC0-1.0")
-    assert list(made.judged.values()) == [Counter(accepted=1, corrected=1, added=1, rejected=1)]
+    _, judged, _ = dataset_from_store(store, tmp_path / "set", licence="CC0-1.0")
+    assert list(judged.values()) == [Counter(accepted=1, corrected=1, added=1, rejected=1)]
     (picture,) = read_coco(tmp_path / "set").pictures
     masks = [label.mask for label in picture.labels]
     for mask, true in zip(masks, (mask_at(12), drawn, mask_at(50)), strict=True):
@@ -113,9 +113,9 @@ def test_what_nobody_judged_is_to_be_ignored_and_what_is_taken_back_is_forgotten
     stop = store.detection(first).stop.key
     store.add_fruit(stop, "a", FruitRow(1, mask=encode_rle(mask_at(50))))
     store.undo(WALK)
-    made = dataset_from_store(store, tmp_path / "set")
-    assert [label.ignore for label in made.dataset.pictures[0].labels] == [True, True]
-    assert list(made.judged.values()) == [Counter(rejected=1, unjudged=2)]
+    dataset, judged, _ = dataset_from_store(store, tmp_path / "set")
+    assert [label.ignore for label in dataset.pictures[0].labels] == [True, True]
+    assert list(judged.values()) == [Counter(rejected=1, unjudged=2)]
     store.undo(WALK)
     with pytest.raises(DataSetError, match="has been reviewed"):
         dataset_from_store(store, tmp_path / "other")
@@ -124,10 +124,10 @@ def test_what_nobody_judged_is_to_be_ignored_and_what_is_taken_back_is_forgotten
 def test_places_keep_their_split_however_the_set_grows(store: Store, tmp_path: Path) -> None:
     for metre in range(12):
         store.set_verdict(save(store, metre + 0.2), Verdict.ACCEPTED)
-    before = dataset_from_store(store, tmp_path / "before").dataset
+    before = dataset_from_store(store, tmp_path / "before")[0]
     for metre in range(24):  # another day, a little further on
         store.set_verdict(save(store, metre + 0.7, LATER), Verdict.ACCEPTED)
-    after = dataset_from_store(store, tmp_path / "after").dataset
+    after = dataset_from_store(store, tmp_path / "after")[0]
     was, now = ({p.scene: p.split for p in d.pictures} for d in (before, after))
     assert len(now) == 24
     assert {scene: now[scene] for scene in was} == was

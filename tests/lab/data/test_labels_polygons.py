@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.fruit.mask_codes import fill_polygon
 from cucumbervision_lab.data.labels import keypoints_of_mask, one_polygon
-from cucumbervision_lab.scenes.bodies import random_fruit
-from cucumbervision_lab.scenes.placing import place_hanging
+from cucumbervision_lab.scenes.bodies import random_fruit, rotation
 from cucumbervision_lab.scenes.scene import Scene, truth_of
 
 masks = hnp.arrays(bool, hnp.array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=24))
@@ -61,7 +60,7 @@ CAMERA = Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0)
 @pytest.mark.parametrize("seed", range(10))
 def test_they_come_near_the_exact_ones_of_a_fruit_seen_from_the_side(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    body = place_hanging(random_fruit(rng, 0.25), (0.0, 0.0, 0.6), roll_deg=-90 + rng.normal(0, 10))
+    body = random_fruit(rng, 0.25).moved(rotation(-90 + rng.normal(0, 10)), (0.0, 0.0, 0.6))
     (truth,) = truth_of(Scene((body,)), CAMERA)
     points = keypoints_of_mask(truth.visible, "up")
     assert points is not None

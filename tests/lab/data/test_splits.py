@@ -13,9 +13,9 @@ from cucumbervision.capture.pictures import read_color, write_png
 from cucumbervision.errors import DataSetError
 from cucumbervision_lab.data.checks import check_dataset
 from cucumbervision_lab.data.labels import SPLITS, DataSet, Label, LabelledPicture
-from cucumbervision_lab.data.splits import find_scenes, split_by_scene
+from cucumbervision_lab.data.splits import find_scenes, parse_shares, split_by_scene
 from cucumbervision_lab.data.yolo import read_yolo
-from cucumbervision_lab.evaluate.photos import audited
+from cucumbervision_lab.evaluate.scenes import audited
 
 MakeSet = Callable[..., DataSet]
 CLASSES = ("cucumber", "zucchini", "banana", "eggplant", "carrot")
@@ -81,9 +81,9 @@ def test_pseudo_labels_never_come_to_test() -> None:
 
 
 def test_shares_and_scenes_must_make_sense() -> None:
-    for shares in ((0.5, 0.5), (0.5, 0.4, 0.3), (0.0, 0.5, 0.5), (1.2, -0.1, -0.1)):
+    for shares in ("1:1", "0:0:0", "12:-1:-1"):
         with pytest.raises(DataSetError, match="invalid shares"):
-            split_by_scene(made([1]), shares)
+            parse_shares(shares)
     bare = replace(made([1]), pictures=(LabelledPicture("a.png", 64, 48),))
     with pytest.raises(DataSetError, match=r"1 pictures have no scene, first a\.png"):
         split_by_scene(bare)

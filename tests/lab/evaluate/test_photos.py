@@ -15,15 +15,10 @@ pytest.importorskip("pycocotools")
 from cucumbervision.capture.pictures import write_png
 from cucumbervision.fruit.instance import Instance
 from cucumbervision_lab.data.labels import DataSet, Label, LabelledPicture
-from cucumbervision_lab.evaluate.outcomes import end_rows
-from cucumbervision_lab.evaluate.photos import (
-    PhotoResult,
-    audited_photos,
-    evaluate_photos,
-    photo_truth,
-)
+from cucumbervision_lab.evaluate.outcomes import Evaluation, end_rows
 from cucumbervision_lab.evaluate.pictures import Frame, Networks
 from cucumbervision_lab.evaluate.report import photo_tables
+from cucumbervision_lab.evaluate.scenes import audited_photos, evaluate_photos, photo_truth
 
 ENDS = ("blossom end", "stem end")
 SPOTS = [np.array([0.0, 30 * k, 90, 30 * k + 20]) for k in range(8)]
@@ -43,7 +38,7 @@ def photo_set(*photos: tuple[str, str, str], folder: Path = Path(), **fields: An
     return DataSet(folder, tuple(pictures))
 
 
-def scored() -> PhotoResult:
+def scored() -> Evaluation:
     cucumber, courgette = Label(SPOTS[0]), Label(SPOTS[1], optional=True)
     crate = Label(np.array([0.0, 60, 300, 115]), ignore=True)
     frames = (
@@ -55,7 +50,7 @@ def scored() -> PhotoResult:
     settings = ("crate", "board", "board", "none")
     names = [frame.name for frame in frames]
     photos = photo_set(*zip(names, settings, ["loose fruit"] * 4, strict=True))
-    return PhotoResult(0.25, photos, frames, missing=2)
+    return Evaluation(photos, Networks(None, None, None, 0.25), frames, missing=2)
 
 
 def test_recall_and_precision_of_photos() -> None:
@@ -88,7 +83,7 @@ def test_small_fruit_are_the_same_photos_at_half_size(tmp_path: Path) -> None:
     color = np.full((60, 80, 3), 114, np.uint8)
     color[20:30, 10:50] = 30
     write_png(tmp_path / "a.png", color)
-    fruit = Label(np.array([9.5, 19.5, 49.5, 29.5]), extras={"kind": "cucumber"})
+    fruit = Label(np.array([9.5, 19.5, 49.5, 29.5]))
     data = photo_set(
         ("a.png", "plant", "on the plant"), ("a.png", "none", "negatives"), folder=tmp_path
     )
@@ -114,7 +109,8 @@ def test_ends_on_photos_are_judged_by_the_straight_line_between_them() -> None:
     points = np.column_stack([line + np.array([0.0, 3.0]), np.ones(5)])
     fruit = Label(SPOTS[0], score=0.9, keypoints=points)
     frame = Frame("a.jpg", "one", 300, 300, (true,), posed=(fruit,), kept=(fruit,))
-    found = PhotoResult(0.25, photo_set(("a.jpg", "trial", "first audit")), (frame,))
+    photos = photo_set(("a.jpg", "trial", "first audit"))
+    found = Evaluation(photos, Networks(None, None, None, 0.25), (frame,))
     (row,) = end_rows(found.frames, 0.25).itertuples()
     assert (row.length_px, row.blossom_percent, row.stem_percent, row.swapped) == (
         100.0,
@@ -129,7 +125,7 @@ def test_ends_on_photos_are_judged_by_the_straight_line_between_them() -> None:
 def test_audited_photos(shared_data: Path) -> None:
     photos, missing = audited_photos(shared_data)
     assert missing == 0
-    boxes = [label for picture in photos.pictures for label in photo_truth(picture).true]
+    boxes = [label for picture in photos.pictures for label in photo_truth(picture, photos).true]
     assert sum(box.required for box in boxes) > 40
     assert any(box.optional for box in boxes)
     assert any(box.ignore for box in boxes)

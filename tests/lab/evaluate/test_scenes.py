@@ -26,12 +26,12 @@ from cucumbervision.cli.app import app
 from cucumbervision.fruit.masks import box_of_mask
 from cucumbervision_lab.data.coco import write_coco
 from cucumbervision_lab.data.labels import DataSet, Label, LabelledPicture
-from cucumbervision_lab.evaluate import photos
+from cucumbervision_lab.evaluate import scenes as run
 from cucumbervision_lab.evaluate.measure_case import Masks
-from cucumbervision_lab.evaluate.outcomes import end_rows
-from cucumbervision_lab.evaluate.pictures import Stage
+from cucumbervision_lab.evaluate.outcomes import Evaluation, end_rows
+from cucumbervision_lab.evaluate.pictures import Stage, open_networks, read_held_out
 from cucumbervision_lab.evaluate.report import detection_tables
-from cucumbervision_lab.evaluate.scenes import DetectionResult, evaluate_detection
+from cucumbervision_lab.evaluate.scenes import evaluate_detection
 from cucumbervision_lab.scenes.bodies import arc_tube, rotation
 from cucumbervision_lab.scenes.scene import Scene, render
 
@@ -132,13 +132,13 @@ def networks(scene: DrawnFruit, tmp_path_factory: pytest.TempPathFactory) -> tup
 
 
 @pytest.fixture(scope="module")
-def result(scene: DrawnFruit, networks: tuple[Path, Path]) -> DetectionResult:
-    segment, pose = networks
+def result(scene: DrawnFruit, networks: tuple[Path, Path]) -> Evaluation:
+    opened = open_networks(*networks, "mobile-sam", runtime="onnxruntime")
     # SAM on one picture only: it takes most of the time.
-    return evaluate_detection(scene.folder, segment, pose, runtime="onnxruntime", sam_limit=1)
+    return evaluate_detection(read_held_out(scene.folder), opened, sam_limit=1)
 
 
-def test_average_precision_and_recall(result: DetectionResult, scene: DrawnFruit) -> None:
+def test_average_precision_and_recall(result: Evaluation, scene: DrawnFruit) -> None:
     tables = {table.title: table for table in detection_tables(result)}
     found = {row[:2]: row[2:] for row in tables["Average precision"].rows}
     assert len(found) == 5
@@ -158,7 +158,7 @@ def test_average_precision_and_recall(result: DetectionResult, scene: DrawnFruit
         assert precision == pytest.approx(2 / 3)
 
 
-def tables_of(result: DetectionResult) -> dict[str, dict[Cell, dict[str, Cell]]]:
+def tables_of(result: Evaluation) -> dict[str, dict[Cell, dict[str, Cell]]]:
     """Give the tables' rows by title and first cell, each by the columns' heads."""
     return {
         table.title: {row[0]: dict(zip(table.heads, row, strict=True)) for row in table.rows}
@@ -166,16 +166,16 @@ def tables_of(result: DetectionResult) -> dict[str, dict[Cell, dict[str, Cell]]]
     }
 
 
-def test_ends(result: DetectionResult, scene: DrawnFruit) -> None:
+def test_ends(result: Evaluation, scene: DrawnFruit) -> None:
     length = float(np.linalg.norm(scene.keypoints[4, :2] - scene.keypoints[0, :2]))
     every = tables_of(result)["Ends"]["all"]
     assert every["n"] == 4
     # The network's points are 3 px off; the outline's axis ends within a pixel of the fruit's.
     assert cast("float", every["median (% of length)"]) < 100 * 1 / length
-    assert end_rows(result.frames, result.confidence)["swapped"].tolist() == [False, False]
+    assert end_rows(result.frames, result.networks.confidence)["swapped"].tolist() == [False, False]
 
 
-def test_masks_and_lengths(result: DetectionResult) -> None:
+def test_masks_and_lengths(result: Evaluation) -> None:
     tables = tables_of(result)
     masks = tables["Masks"]
     assert (masks["detector"]["fruit"], masks["measured"]["fruit"]) == (2, 1)
@@ -192,7 +192,8 @@ def test_masks_and_lengths(result: DetectionResult) -> None:
 
 def test_missed_fruit_count_in_full(scene: DrawnFruit, tmp_path: Path) -> None:
     blind = network(tmp_path / "blind.onnx", rows_of([0, 0, 9, 9, 0.1, 0]), task="detect")
-    result = evaluate_detection(scene.folder, blind, blind, segmenter=None, runtime="onnxruntime")
+    opened = open_networks(blind, blind, None, runtime="onnxruntime")
+    result = evaluate_detection(read_held_out(scene.folder), opened)
     assert tables_of(result)["Recall and precision"]["reported detections"]["recall"] == 0.0
     rows = tables_of(result)["Accuracy against the thread, perceived masks"].values()
     assert {row["captures"] for row in rows} == {2}
@@ -231,14 +232,20 @@ def test_photos_are_judged_by_a_command_of_their_own(
     scene: DrawnFruit, networks: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Networks that always see the fruit at its full size find nothing at half size."""
-    fruit = {"box": (box_of_mask(scene.mask) + 0.5).tolist(), "class": "cucumber"}
-    entry = {"set": "some", "setting": "plant", "split": "test", "size": [320, 192]}
-    entry |= {"source": "us", "licence": "CC0"}
-    audit = {
-        sha1_of(scene.folder / "images" / f"{name}.png"): {**entry, "scene": name, "boxes": boxes}
-        for name, boxes in (("a", [fruit]), ("b", []))
-    }
-    monkeypatch.setattr(photos, "load_audit", lambda: audit)
+    fruit, tests = Label(box_of_mask(scene.mask)), {"a": "on the plant", "b": "negatives"}
+    pictures = [
+        LabelledPicture(
+            sha1_of(scene.folder / "images" / f"{name}.png"),
+            320,
+            192,
+            (fruit,) if name == "a" else (),
+            name,
+            "test",
+            extras={"setting": "plant", "test": test},
+        )
+        for name, test in tests.items()
+    ]
+    monkeypatch.setattr(run, "load_audit", lambda: DataSet(Path(), tuple(pictures)))
     arguments = ["evaluate", "photos", str(scene.folder), "--out", str(tmp_path / "out")]
     arguments += ["--seg", str(networks[0]), "--pose", str(networks[1])]
     # The detector is sure by 0.9, the pose network by 0.8, and what ships counts both: 0.85.

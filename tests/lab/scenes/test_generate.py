@@ -50,7 +50,8 @@ def test_the_set_reads_back_with_pictures_depth_and_truth(drawn: DataSet) -> Non
 
 def test_an_interrupted_run_goes_on_and_gives_the_same(drawn: DataSet, tmp_path: Path) -> None:
     generate(SynthOptions(frames=2, seed=3, frame=OPTIONS.frame), tmp_path)
-    (tmp_path / "fragments" / "000001.json").unlink()
+    frames = tmp_path / "frames.jsonl"
+    frames.write_text(frames.read_text().splitlines(keepends=True)[0])
     (tmp_path / "annotations.json").unlink()
     seen: list[int] = []
     generate(OPTIONS, tmp_path, workers=2, progress=seen.append)

@@ -6,8 +6,7 @@ import pytest
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision_lab.scenes.bodies import arc_tube, rotation
 from cucumbervision_lab.scenes.lighting import Light, ambient_occlusion, light_maps, sun_shadow
-from cucumbervision_lab.scenes.raycast import Plane
-from cucumbervision_lab.scenes.scene import Scene, render
+from cucumbervision_lab.scenes.scene import Plane, Scene, render
 from cucumbervision_lab.scenes.textures import Assets
 
 

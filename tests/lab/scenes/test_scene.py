@@ -5,16 +5,15 @@ import pytest
 
 from cucumbervision.capture.intrinsics import Distortion, Intrinsics
 from cucumbervision_lab.scenes.bodies import Tube, arc_tube, random_fruit, rotation
-from cucumbervision_lab.scenes.placing import occlude, place_hanging, trellis
-from cucumbervision_lab.scenes.raycast import Plane, Stem
-from cucumbervision_lab.scenes.scene import Kind, Scene, render, truth_of
+from cucumbervision_lab.scenes.placing import occlude, trellis
+from cucumbervision_lab.scenes.scene import Kind, Plane, Scene, Stem, render, truth_of
 
 CAMERA = Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0)
 
 
 def test_moving_the_scene_is_moving_the_camera() -> None:
     rng = np.random.default_rng(4)
-    scene = trellis(rng, CAMERA, (place_hanging(random_fruit(rng, 0.2), (0.0, 0.0, 0.5)),))
+    scene = trellis(rng, CAMERA, (random_fruit(rng, 0.2).moved(rotation(-90), (0.0, 0.0, 0.5)),))
     turn, by = rotation(2, -1, 3), np.array([0.01, -0.02, 0.03])
     back = scene.moved(turn, by).moved(turn.T, -turn.T @ by)
     first, again = render(scene, CAMERA), render(back, CAMERA)
@@ -44,7 +43,7 @@ def test_masks_and_hidden_share() -> None:
 
 def test_an_end_behind_the_fruits_own_body_is_hidden() -> None:
     # Tilted by 70 degrees, the near end covers most of the rest: the far pole is out of sight.
-    tube = place_hanging(arc_tube(0.12, 0.02), (0.0, 0.0, 0.5), roll_deg=0, tilt_deg=75)
+    tube = arc_tube(0.12, 0.02).moved(rotation(0, 75), (0.0, 0.0, 0.5))
     (truth,) = truth_of(Scene((tube,)), CAMERA)
     assert tube.poles_m[1, 2] > tube.poles_m[0, 2]
     assert truth.keypoint_visibility[4] == 1
@@ -56,7 +55,7 @@ def test_an_end_behind_the_fruits_own_body_is_hidden() -> None:
 def test_cover_hides_the_share_asked_and_leaves_the_ends(share: float, tilt_deg: float) -> None:
     rng = np.random.default_rng(12)
     for length_m in (0.15, 0.30):
-        fruit = place_hanging(random_fruit(rng, length_m), (0.0, 0.0, 0.55), tilt_deg=tilt_deg)
+        fruit = random_fruit(rng, length_m).moved(rotation(-90, tilt_deg), (0.0, 0.0, 0.55))
         scene = occlude(Scene((fruit,)), CAMERA, 0, share, rng)
         (truth,) = truth_of(scene, CAMERA)
         assert truth.hidden_share == pytest.approx(share, abs=0.03)
@@ -69,7 +68,7 @@ def test_a_cover_never_reaches_behind_the_camera() -> None:
     unchanged = 0
     for seed in range(8):
         rng = np.random.default_rng(seed)
-        fruit = place_hanging(random_fruit(rng, 0.4), (0.0, 0.0, 0.3), tilt_deg=75.0)
+        fruit = random_fruit(rng, 0.4).moved(rotation(-90, 75.0), (0.0, 0.0, 0.3))
         bare = Scene((fruit,))
         covered = occlude(bare, CAMERA, 0, 0.6, rng, ends_free=False)
         truth_of(covered, CAMERA)  # raises if anything is behind it

@@ -8,9 +8,8 @@ import pytest
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision_lab.scenes.bodies import arc_tube
 from cucumbervision_lab.scenes.lighting import Light
-from cucumbervision_lab.scenes.placing import place_hanging, string, trellis
-from cucumbervision_lab.scenes.raycast import Leaf, Plane, Stem
-from cucumbervision_lab.scenes.scene import Kind, Scene, View, render
+from cucumbervision_lab.scenes.placing import string, trellis
+from cucumbervision_lab.scenes.scene import Kind, Leaf, Plane, Scene, Stem, View, render
 from cucumbervision_lab.scenes.shading import Style, random_style, shade
 from cucumbervision_lab.scenes.skin import Skin
 from cucumbervision_lab.scenes.textures import Assets
@@ -18,7 +17,7 @@ from cucumbervision_lab.scenes.textures import Assets
 CAMERA = Intrinsics(320, 240, 300.0, 300.0, 160.0, 120.0)
 NONE = Assets()
 MATT = Skin((60.0, 110.0, 50.0), (60.0, 110.0, 50.0), (60.0, 110.0, 50.0), gloss=0.0)
-FRUIT = place_hanging(arc_tube(0.2, 0.02), (0.0, 0.0, 0.45), roll_deg=0.0)
+FRUIT = arc_tube(0.2, 0.02).moved(np.eye(3), (0.0, 0.0, 0.45))
 EVEN = Light((0.0, -1.0, 0.0), environment=0)
 ALL_ROUND = Assets(environments=(np.full((64, 128, 3), 1.0, np.float32),))
 ON_PAPER = Scene((FRUIT,), planes=(Plane.facing(0.6),))

@@ -8,8 +8,8 @@ import pytest
 
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.errors import CaptureError
-from cucumbervision_lab.scenes.bodies import arc_tube
-from cucumbervision_lab.scenes.placing import place_hanging, trellis
+from cucumbervision_lab.scenes.bodies import arc_tube, rotation
+from cucumbervision_lab.scenes.placing import trellis
 from cucumbervision_lab.scenes.shading import FAR, random_style
 from cucumbervision_lab.scenes.textures import Assets, load_assets
 
@@ -60,8 +60,8 @@ CAMERA = Intrinsics(320, 180, 228.0, 228.0, 160.0, 90.0)
 
 
 FRUIT = (
-    place_hanging(arc_tube(0.2, 0.02), (0.0, 0.0, 0.5)),
-    place_hanging(arc_tube(0.15, 0.02), (0.1, 0.0, 0.5)),
+    arc_tube(0.2, 0.02).moved(rotation(-90), (0.0, 0.0, 0.5)),
+    arc_tube(0.15, 0.02).moved(rotation(-90), (0.1, 0.0, 0.5)),
 )
 
 

@@ -12,7 +12,7 @@ pytest.importorskip("ultralytics")
 from cucumbervision.fruit.crops import END_PX, PLANES, QUANTILES, EndCrop  # noqa: E402
 from cucumbervision.networks.find import ERROR_SCALE, EndLooker  # noqa: E402
 from cucumbervision_lab.train.classifier import ClassifierOptions, begun_network  # noqa: E402
-from cucumbervision_lab.train.end_crops import EndCrops  # noqa: E402
+from cucumbervision_lab.train.end_crops import END_CROP, states_of  # noqa: E402
 from cucumbervision_lab.train.end_look import (  # noqa: E402
     _loss,
     augmented,
@@ -21,13 +21,14 @@ from cucumbervision_lab.train.end_look import (  # noqa: E402
     make_network,
     train_look,
 )
+from cucumbervision_lab.train.fruit_crops import Crops, crops_of  # noqa: E402
 
 pytestmark = pytest.mark.train
 
 CHECKPOINT = Path(__file__).parents[3] / "checkpoints" / "cucumber-seg.pt"
 
 
-def crops(count: int = 240, seed: int = 0) -> EndCrops:
+def crops(count: int = 240, seed: int = 0) -> Crops:
     """Draw bars from the left that end in the middle, every other one under a yellow leaf."""
     rng = np.random.default_rng(seed)
     planes = rng.integers(80, 120, (count, END_PX, END_PX, PLANES), dtype=np.uint8)
@@ -39,16 +40,9 @@ def crops(count: int = 240, seed: int = 0) -> EndCrops:
     planes[covered, :, END_PX // 2 :, :3] = 220, 210, 40
     missing = np.where(covered, 0.3, 0.0) + rng.normal(0, 0.01, count)
     numbers = np.arange(count)
-    return EndCrops(
-        planes,
-        np.tile(np.array([2.0, 3.0], np.float32), (count, 1)),
-        missing.astype(np.float32),
-        np.full(count, np.nan, np.float32),
-        covered.astype(np.float32),
-        numbers // 2,
-        np.zeros(count, bool),
-        numbers % 6 > 3,
-    )
+    held_out = numbers % 6 > 3
+    columns = planes, [(2, 3)] * count, missing, covered, numbers // 2, [False] * count, held_out
+    return crops_of(list(zip(*columns, strict=True)), END_CROP)
 
 
 def test_it_learns_to_see_the_leaf_and_the_file_says_the_same(tmp_path: Path) -> None:
@@ -62,14 +56,10 @@ def test_it_learns_to_see_the_leaf_and_the_file_says_the_same(tmp_path: Path) ->
     assert metrics["covered ends told from others, area under the curve"] > 0.95
     assert metrics["stem and blossom ends told right"] > 0.9
     looker = EndLooker(result.network)
-    held = drawn.only(np.flatnonzero(drawn.held_out)[:8])
-    ends = [
-        EndCrop(one, (float(shape[0]), float(shape[1])))
-        for one, shape in zip(held.planes, held.shapes, strict=True)
-    ]
-    looks = looker.look(ends)
+    held = drawn[np.flatnonzero(drawn.held_out)[:8]]
+    looks = looker.look([EndCrop(one.planes, tuple(map(float, one.shapes))) for one in held])
     found = np.array([look.covered for look in looks])
-    assert (found[held.state == 1].min()) > found[held.state == 0].max()
+    assert (found[states_of(held) == 1].min()) > found[states_of(held) == 0].max()
     again = begun_network(result.network.with_suffix(".pt"), make_network)
     assert judge_look(again.eval(), drawn, result.network).metrics == metrics
 
@@ -100,7 +90,8 @@ def test_an_interrupted_training_goes_on_where_it_was(tmp_path: Path) -> None:
 
 def test_held_out_scenes_and_moved_copies_are_not_judged_by_what_was_learnt() -> None:
     drawn = crops(48)
-    moved = replace(drawn, moved=drawn.held_out & (drawn.fruit % 2 == 0))
+    moved = drawn.copy()
+    moved.moved = drawn.held_out & (drawn.fruit % 2 == 0)
     judged = judge_look(make_network("yolo26n-seg.yaml").eval(), moved, Path("look.onnx"))
     held = int((moved.held_out & ~moved.moved).sum())
     assert judged.metrics["ends of other scenes judged by"] == held

@@ -8,9 +8,9 @@ import pytest
 from cucumbervision.fruit.crops import END_PX, PLANES, EndCrop, EndLook
 from cucumbervision.fruit.mask_codes import Rle
 from cucumbervision.methods.intervals import LOOKED, PERCEIVED, look_features
-from cucumbervision_lab.train.end_crops import EndCrops
+from cucumbervision_lab.train.end_crops import END_CROP, MeasuredFruit
 from cucumbervision_lab.train.end_look import SMALLEST_GROUP, fit_look_intervals, looked_fruit
-from cucumbervision_lab.train.measured_ends import EndTruth, MeasuredFruit
+from cucumbervision_lab.train.fruit_crops import crops_of
 
 TRUE = EndLook(0.98, 0.01, 0.01, (-0.01, -0.004, 0.0, 0.004, 0.01), 0.5)
 COVERED = EndLook(0.1, 0.89, 0.01, (0.0, 0.1, 0.2, 0.3, 0.5), 0.5)
@@ -20,19 +20,16 @@ M6 = "M6" + PERCEIVED + LOOKED
 def fruit(number: int, share: float, *, given: bool = False, **features: float) -> MeasuredFruit:
     """A fruit of 20 cm of which a share was measured."""
     known = {"perceived": 1.0, "closed": 0.9, "distance_m": 0.5}
-    end = EndTruth(0.0, True)
     return MeasuredFruit(
-        f"{number // 3}.jpg",
-        f"{number // 3}",
-        given,
-        Rle.of(np.ones((2, 2), bool)),
-        ((0.0, 0.0, 0.5), (share * 0.2, 0.0, 0.5)),
-        0.04,
-        (0.2 * share, 0.2 * share, 0.19 * share),
-        (0.2, 0.2, 0.19),
-        (end, replace(end, is_stem=False)),
-        0.0,
-        cut=False,
+        picture=f"{number // 3}.jpg",
+        given=given,
+        mask=Rle.of(np.ones((2, 2), bool)),
+        axis_m=((0.0, 0.0, 0.5), (share * 0.2, 0.0, 0.5)),
+        diameter_m=0.04,
+        lengths_m=(0.2 * share, 0.2 * share, 0.19 * share),
+        true_m=(0.2, 0.2, 0.19),
+        missing_m=(0.0, 0.0),
+        stem_first=True,
         features={**known, **features},
     )
 
@@ -92,14 +89,19 @@ def test_cut_fruit_given_masks_and_wrong_depth_teach_nothing(
 
 def test_only_held_out_fruit_on_networks_masks_are_looked_at() -> None:
     fruits = [fruit(0, 1.0), fruit(1, 1.0, given=True), fruit(2, 1.0), fruit(3, 1.0)]
-    numbers = np.repeat(np.arange(4), 2)
-    unknown = np.full(8, np.nan, np.float32)
-    planes = np.zeros((8, END_PX, END_PX, PLANES), np.uint8)
-    planes[:, 0, 0, 0] = np.arange(8)
-    held = numbers != 2
-    nothing = np.zeros(8, bool)
-    shapes = np.zeros((8, 2), np.float32)
-    crops = EndCrops(planes, shapes, unknown, unknown, unknown, numbers, nothing, held)
+    rows = [
+        (
+            np.full((END_PX, END_PX, PLANES), k, np.uint8),
+            (0, 0),
+            np.nan,
+            np.nan,
+            k // 2,
+            False,
+            k // 2 != 2,
+        )
+        for k in range(8)
+    ]
+    crops = crops_of(rows, END_CROP)
 
     def look(some: list[EndCrop]) -> list[EndLook]:
         return [replace(TRUE, stem=float(one.planes[0, 0, 0])) for one in some]

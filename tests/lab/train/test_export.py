@@ -24,6 +24,7 @@ from cucumbervision.errors import ModelError
 from cucumbervision.fruit.instance import Instance
 from cucumbervision.networks.runtime import open_network
 from cucumbervision.networks.yolo import YoloDetector
+from cucumbervision_lab.train import export
 from cucumbervision_lab.train.export import export_yolo
 from cucumbervision_lab.train.network import import_ultralytics, load_yolo
 
@@ -83,14 +84,15 @@ def ultralytics_export(checkpoint: Path, out: Path, nms: bool | None) -> Path:
 def exports(checkpoint: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("onnx")
 
-    def ours(name: str, **how: bool) -> Path:
-        return export_yolo(load_yolo(checkpoint), folder / f"{name}.onnx", size_px=SIZE_PX, **how)  # type: ignore[arg-type]
+    def ours(name: str) -> Path:
+        return export_yolo(load_yolo(checkpoint), folder / f"{name}.onnx", size_px=SIZE_PX)
 
-    out = {"one-to-one": ours("one-to-one", dynamic=False, half=False)}
+    out = {"half": ours("half")}
     for name, nms in (("one-to-many", None), ("end-to-end", False)):
         out[name] = ultralytics_export(checkpoint, folder / f"{name}.onnx", nms)
-    out["free"] = ours("free", half=False)
-    out["half"] = ours("half", dynamic=False)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(export, "halve_storage", lambda network: None)
+        out["one-to-one"] = ours("one-to-one")
     return out
 
 
@@ -147,7 +149,7 @@ def compare(found: tuple[Instance, ...], theirs: Any) -> int:
 
 
 @pytest.mark.parametrize("runtime", ["onnxruntime", "openvino"])
-@pytest.mark.parametrize("head", ["one-to-one", "one-to-many", "end-to-end", "free"])
+@pytest.mark.parametrize("head", ["one-to-one", "one-to-many", "end-to-end"])
 def test_parity(runtime: str, head: str, checkpoint: Path, exports: dict[str, Path]) -> None:
     pytest.importorskip(runtime)
     if (runtime, head) == ("openvino", "end-to-end"):
@@ -155,7 +157,7 @@ def test_parity(runtime: str, head: str, checkpoint: Path, exports: dict[str, Pa
             YoloDetector(exports[head], runtime)
         return
     detector = YoloDetector(exports[head], runtime, CONFIDENCE, full_precision=True)
-    theirs = predictions(checkpoint, many=head == "one-to-many", rect=head == "free")
+    theirs = predictions(checkpoint, many=head == "one-to-many", rect=head == "one-to-one")
     total = sum(
         compare(detector.detect(picture(*size)), one)
         for size, one in zip(SIZES, theirs, strict=True)
@@ -176,7 +178,7 @@ def test_the_same_weights_give_the_same_file(
     checkpoint: Path, exports: dict[str, Path], tmp_path: Path
 ) -> None:
     model = load_yolo(checkpoint)
-    again = export_yolo(model, tmp_path / "half.onnx", size_px=SIZE_PX, dynamic=False)
+    again = export_yolo(model, tmp_path / "half.onnx", size_px=SIZE_PX)
     assert again.read_bytes() == exports["half"].read_bytes()
 
 

@@ -91,7 +91,7 @@ def drawn(tmp_path_factory: pytest.TempPathFactory) -> DataSet:
 
 def test_detections_of_drawn_fruit_come_with_their_truth(drawn: DataSet) -> None:
     crops = collect_fruit_crops(drawn)
-    fruit = crops.only(crops.is_fruit == 1)
+    fruit = crops[crops.is_fruit == 1]
     assert len(fruit.planes) > 3
     given, true = fruit.planes[..., 5] > 127, fruit.outlines > 127
     ious = (given & true).sum((1, 2)) / (given | true).sum((1, 2))

@@ -14,7 +14,7 @@ pytest.importorskip("ultralytics")
 from cucumbervision.fruit.crops import HEIGHT_PX, WIDTH_PX, FruitCrop  # noqa: E402
 from cucumbervision.networks.find import FruitLooker  # noqa: E402
 from cucumbervision_lab.train.classifier import ClassifierOptions  # noqa: E402
-from cucumbervision_lab.train.fruit_crops import SURROUND_PX, FruitCrops  # noqa: E402
+from cucumbervision_lab.train.fruit_crops import FRUIT_CROP, SURROUND_PX, Crops  # noqa: E402
 from cucumbervision_lab.train.fruit_look import (  # noqa: E402
     as_batch,
     loss,
@@ -30,7 +30,7 @@ CHECKPOINT = Path(__file__).parents[3] / "checkpoints" / "cucumber-seg.pt"
 TOP, LEFT = (SURROUND_PX[0] - HEIGHT_PX) // 2, (SURROUND_PX[1] - WIDTH_PX) // 2
 
 
-def bars(count: int, seed: int = 0) -> FruitCrops:
+def bars(count: int, seed: int = 0) -> Crops:
     """Draw level green bars under masks too wide by 6 px; every fourth is brown and no fruit."""
     rng = np.random.default_rng(seed)
     planes = rng.integers(150, 190, (count, *SURROUND_PX, 6), dtype=np.uint8)
@@ -46,18 +46,14 @@ def bars(count: int, seed: int = 0) -> FruitCrops:
         outlines[k, rows, columns] = 255 if k % 4 else 0
         points[k, :, 0] = np.linspace(left - 0.5, right - 0.5, 5) - LEFT
         points[k, :, 1] = middle - 0.5 - TOP
-    is_fruit = (np.arange(count) % 4 > 0).astype(np.float32)
-    return FruitCrops(
-        planes,
-        outlines,
-        np.ones(count, bool),
-        np.where(is_fruit[:, None, None] > 0, points, np.nan).astype(np.float32),
-        np.where(is_fruit[:, None] > 0, np.ones((count, 5)), np.nan).astype(np.float32),
-        np.full(count, np.nan, np.float32),
-        is_fruit,
-        np.full(count, 0.5, np.float32),
-        np.arange(count) % 5 == 4,
-    )
+    crops = np.zeros(count, FRUIT_CROP).view(np.recarray)
+    is_fruit = np.arange(count) % 4 > 0
+    crops.planes, crops.outlines, crops.has_outline = planes, outlines, True
+    crops.points = np.where(is_fruit[:, None, None], points, np.nan)
+    crops.visible = np.where(is_fruit[:, None], np.ones((count, 5)), np.nan)
+    crops.stem, crops.is_fruit, crops.confidence = np.nan, is_fruit, 0.5
+    crops.held_out = np.arange(count) % 5 == 4
+    return crops
 
 
 def test_keypoints_move_with_what_they_mark() -> None:
@@ -81,7 +77,7 @@ def test_keypoints_move_with_what_they_mark() -> None:
             assert brightest[k, y, x] > 0.15
 
 
-def _answer(crops: FruitCrops) -> tuple[Any, list[Any]]:
+def _answer(crops: Crops) -> tuple[Any, list[Any]]:
     """Return a perfect answer to crops, and what they are judged by."""
     planes, *truth = as_batch(crops, np.arange(len(crops.planes)))
     outline = planes[:, 6, TOP : TOP + HEIGHT_PX, LEFT : LEFT + WIDTH_PX]
@@ -111,7 +107,7 @@ def test_every_part_of_the_answer_counts() -> None:
 def test_training_teaches_outlines_and_the_file_says_the_same(tmp_path: Path) -> None:
     crops = bars(96)
     out = tmp_path / "cucumber-fruit.onnx"
-    result = train_fruit(crops, CHECKPOINT, out, ClassifierOptions(epochs=6, batch=16))
+    result = train_fruit(crops, CHECKPOINT, out, ClassifierOptions(epochs=4, batch=12))
     metrics = result.metrics
     assert metrics["crops of other scenes judged by"] == 19
     before = metrics["IoU of the detector's masks, median"]

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from cucumbervision.capture.intrinsics import Distortion, Intrinsics
 from cucumbervision_lab.scenes.bodies import Tube, rotation
-from cucumbervision_lab.scenes.raycast import Leaf, Stem, cast_leaf, cast_stem, cast_tube, ray_grid
+from cucumbervision_lab.scenes.scene import Leaf, Stem, cast_leaf, cast_stem, cast_tube, ray_grid
 
 CAMERA = Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0)
 

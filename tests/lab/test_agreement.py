@@ -42,7 +42,8 @@ def measured() -> tuple[Measured, OwnTruth]:
     """Four fruit of 20 cm read 21, 19, 20 and not at all; the second is half hidden."""
     kind, pairs, rows = LengthDefinition.CENTRELINE, [], []
     for number, (length_m, hidden) in enumerate([(0.21, 0), (0.19, 0.55), (0.2, 1), (None, None)]):
-        truth = TrueLength(number, "a", number, kind, (0.2,), f"s{number}")
+        place = {"line": number, "capture": "a", "fruit": number, "specimen": f"s{number}"}
+        truth = TrueLength(kind=kind, lengths_m=(0.2,), **place)  # type: ignore[arg-type]
         pairs.append((truth, Reading("a", number, {"reported": length_m}, kind=str(kind))))
         interval = {"interval_low_cm": 19.5, "interval_high_cm": 21.5, "interval_of": str(kind)}
         rows.append({"fruit": number, "hidden_share": hidden, **(interval if number else {})})

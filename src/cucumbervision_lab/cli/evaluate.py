@@ -185,7 +185,8 @@ def benchmark(
             show(f"{key}: {model.bands[''].count} readings")
         show(f"{book.fruit} fruit, level {book.level:.0%}, in {learn_intervals}")
         return
-    about = {"software": f"cucumbervision {__version__}", "versions": installed_versions()}
+    about: dict[str, Any] = {"software": f"cucumbervision {__version__}"}
+    about["versions"] = installed_versions()
     if harvests is not None:
         from cucumbervision_lab.evaluate.harvests import harvest_tables
 

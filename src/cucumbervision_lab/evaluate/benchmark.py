@@ -447,7 +447,8 @@ def run_benchmark(
         All readings from `readings_frame`.
     """
     exact_and_disturbed = (Masks.EXACT, Masks.DISTURBED)
-    protocol, kinds = [*paper_cases(), *validation_cases()], (*exact_and_disturbed, Masks.PERCEIVED)
+    protocol = [*paper_cases(), *validation_cases()]
+    kinds: tuple[Masks, ...] = (*exact_and_disturbed, Masks.PERCEIVED)
     if quick:
         protocol, kinds = [*paper_cases(7), *validation_cases()[:2]], exact_and_disturbed
         stress = min(stress, 8)

@@ -7,7 +7,7 @@ below. Each compartment is forecast from its own days before, and from figures o
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -115,9 +115,8 @@ def own_rate(house: Compartment, others: Sequence[Compartment], days: int, worth
 def _with_seasons(house: Compartment, others: Sequence[Compartment], days: int) -> Array:
     def error(worth: int) -> float:
         rest = ((other, [x for x in others if x is not other]) for other in others)
-        return sum(
-            np.abs(own_rate(*pair, days, worth) - true_picks(*pair, days)).sum() for pair in rest
-        )
+        gaps = (own_rate(*pair, days, worth) - true_picks(*pair, days) for pair in rest)
+        return float(sum(np.abs(gap).sum() for gap in gaps))
 
     return own_rate(house, others, days, min(_WORTH, key=error))
 
@@ -137,7 +136,8 @@ def _by_climate(
     return np.asarray(features(house) @ fit)
 
 
-_METHODS = {
+_Method = Callable[[Compartment, Sequence[Compartment], int], Array]
+_METHODS: dict[str, tuple[_Method, str]] = {
     "last week's rate": (_last_week, "nothing"),
     "own rate since the first pick": (own_rate, "that nobody picks on Sundays"),
     "with the seasons of the others": (_with_seasons, "their weight, on the others alone"),

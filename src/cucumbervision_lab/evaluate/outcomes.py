@@ -333,10 +333,10 @@ def group_scores(fruit: pd.DataFrame, detections: pd.DataFrame) -> Iterator[tupl
     """
     for factor, column, scale, edges in _SCALES:
         for start, end in pairwise(edges):
-            inside, part = (
-                rows[rows[column].between(start, end, inclusive="left")] if column in rows else None
-                for rows in (fruit, detections)
-            )
+            inside = fruit[fruit[column].between(start, end, inclusive="left")]
+            part = None
+            if column in detections:
+                part = detections[detections[column].between(start, end, inclusive="left")]
             if len(inside) or (part is not None and len(part)):
                 yield factor, _name(start, end, scale), overall(inside, part)
     for name, cut in (("whole in the picture", False), ("cut by the picture's edge", True)):

@@ -303,7 +303,7 @@ def _measured_fruit(
 ) -> MeasuredFruit:
     even = points_along(axis_m, np.linspace(0, 1, AXIS_POINTS)).round(5)
     missing_m, stem_first = end_truths(axis_m, body.axis_m)
-    fields = {
+    fields: dict[str, Any] = {
         "mask": Rle.of(mask),
         "axis_m": tuple(tuple(point) for point in even.tolist()),
         "diameter_m": float(diameter_m),
@@ -593,7 +593,7 @@ def collect_set(
         if picture.depth_file is None or not is_held_out(picture, HELD_OUT)
         for labelled in labelled_fruit(picture, rng)
     ]
-    covered = collect_covered_ends(fruit, data, pieces, seed) if pieces else []
+    covered = collect_covered_ends(fruit, data, pieces, seed) if pieces else crops_of([], END_CROP)
     fruit += measured
     crops = collect_end_crops(fruit, data, seed)
-    return fruit, np.append(crops, covered).view(np.recarray) if len(covered) else crops
+    return fruit, np.append(crops, covered).view(np.recarray)

@@ -287,7 +287,9 @@ def looked_fruit(
     looks: list[EndLook] = []
     for start in range(0, len(held), _AT_ONCE):
         part = held[start : start + _AT_ONCE]
-        looks += look([EndCrop(one.planes, tuple(map(float, one.shapes))) for one in part])
+        looks += look(
+            [EndCrop(one.planes, (float(one.shapes[0]), float(one.shapes[1]))) for one in part]
+        )
     chosen = [fruit[k] for k in held.fruit[::2]]
     return chosen, list(zip(looks[::2], looks[1::2], strict=True))
 

@@ -58,8 +58,8 @@ class DetectorScore:
         """Create the score from a score of the evaluation."""
         # Without fruit or detections a value is NaN, for which every comparison is False.
         recall, precision = score.recall, score.precision or estimate([])
-        values = (float(np.nan_to_num(part.value)) for part in (recall, precision))
-        return cls(test, *values, recall.count, precision.count)
+        shares = [float(np.nan_to_num(part.value)) for part in (recall, precision)]
+        return cls(test, shares[0], shares[1], recall.count, precision.count)
 
     @property
     def f1(self) -> float:

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -56,8 +57,10 @@ def test_it_learns_to_see_the_leaf_and_the_file_says_the_same(tmp_path: Path) ->
     assert metrics["covered ends told from others, area under the curve"] > 0.95
     assert metrics["stem and blossom ends told right"] > 0.9
     looker = EndLooker(result.network)
-    held = drawn[np.flatnonzero(drawn.held_out)[:8]]
-    looks = looker.look([EndCrop(one.planes, tuple(map(float, one.shapes))) for one in held])
+    held = drawn[np.flatnonzero(drawn.held_out)[:8]].view(np.recarray)
+    looks = looker.look(
+        [EndCrop(one.planes, (float(one.shapes[0]), float(one.shapes[1]))) for one in held]
+    )
     found = np.array([look.covered for look in looks])
     assert (found[states_of(held) == 1].min()) > found[states_of(held) == 0].max()
     again = begun_network(result.network.with_suffix(".pt"), make_network)
@@ -90,7 +93,7 @@ def test_an_interrupted_training_goes_on_where_it_was(tmp_path: Path) -> None:
 
 def test_held_out_scenes_and_moved_copies_are_not_judged_by_what_was_learnt() -> None:
     drawn = crops(48)
-    moved = drawn.copy()
+    moved: Any = drawn.copy()
     moved.moved = drawn.held_out & (drawn.fruit % 2 == 0)
     judged = judge_look(make_network("yolo26n-seg.yaml").eval(), moved, Path("look.onnx"))
     held = int((moved.held_out & ~moved.moved).sum())

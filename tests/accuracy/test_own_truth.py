@@ -170,7 +170,7 @@ def test_csv_and_json_of_one_run_say_the_same(run: Path, table: Path, tmp_path: 
         ("measurements.csv", "a,b\n1,2\n", "holds no measurements"),
         ("measurements.csv", "capture,fruit,length_cm\n", "holds no fruit"),
         ("measurements.csv", "capture,fruit,length_cm\na,x,3\n", "is damaged or of another form"),
-        ("other.txt", "", "cannot be read"),
+        ("other.txt", "", "the file is missing; give the folder"),
     ],
 )
 def test_what_is_no_run_is_refused(tmp_path: Path, name: str, content: str, text: str) -> None:

@@ -86,7 +86,7 @@ def test_calibrate_and_measure_with_it(run: Run, folder: Path, tmp_path: Path) -
     ("arguments", "text"),
     [
         (("calibrate", "{run}", "--out", "{tmp}/a.json"), "nothing to calibrate with"),
-        (("calibrate", "{tmp}", "{truth}", "--out", "{tmp}/a.json"), "holds no measurements"),
+        (("calibrate", "{tmp}", "{truth}", "--out", "{tmp}/a.json"), "measurements.json"),
         (("calibrate", "{run}", "--grid", "10", "--out", "{tmp}/a.json"), "no captures that"),
         (("evaluate", "lengths", "{run}", "{tmp}/no.csv", "--out", "{tmp}"), "no.csv: cannot be"),
         (

@@ -416,7 +416,7 @@ def read_measured(path: Path) -> Measured:
         If the file is not the output of a run, or contains no fruit.
     """
     tables = [path / "measurements.json", path / "measurements.csv"] if path.is_dir() else [path]
-    path = next((table for table in tables if table.exists()), path)
+    path = next((table for table in tables if table.exists()), tables[0])
     report_path = path.with_suffix(".json")
     with wrap_reader_errors(path, remedy=_REMEDY):
         is_report = path == report_path or report_path.exists()

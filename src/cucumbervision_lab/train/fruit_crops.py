@@ -110,15 +110,16 @@ def collect_sets(sets: Sequence[DataSet], keep: Path, progress: Progress | None 
             parts.append(np.load(file))
             if progress is not None:
                 progress(len(pictures))
-    crops: Crops = np.concatenate([crops_of([], FRUIT_CROP), *parts]).view(np.recarray)
-    taught = crops.has_outline | ~np.isnan(crops.is_fruit) | ~np.isnan(crops.points).any((1, 2))
-    if not (taught & crops.held_out).any() or crops.held_out[taught].all():
+    joined: Crops = np.concatenate([crops_of([], FRUIT_CROP), *parts]).view(np.recarray)
+    taught = joined.has_outline | ~np.isnan(joined.is_fruit) | ~np.isnan(joined.points).any((1, 2))
+    if not (taught & joined.held_out).any() or joined.held_out[taught].all():
         raise TrainingError(
             "too few scenes in which the detector proposes anything",
             source=sets[0].folder if sets else None,
             remedy=f"give at least {_HELD_OUT} scenes with fruit",
         )
-    return crops[taught].view(np.recarray)
+    learnt: Crops = joined[taught]
+    return learnt
 
 
 def collect_fruit_crops(dataset: DataSet, detector: YoloDetector | None = None) -> Crops:

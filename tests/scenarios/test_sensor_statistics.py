@@ -9,8 +9,7 @@ from tests.scenarios.sensor_statistics import plane_residuals, residual_at
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers import open_source
 from cucumbervision_lab.scenes.depth_camera import D4xx, sense
-from cucumbervision_lab.scenes.scene import Plane
-from cucumbervision_lab.scenes.scene import Scene
+from cucumbervision_lab.scenes.scene import Plane, Scene
 
 
 @pytest.mark.realdata

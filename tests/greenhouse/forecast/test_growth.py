@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cucumbervision_lab.evaluate.harvests import HouseSettings, simulate_house
 
 from cucumbervision.crop.profiles import load_profile
 from cucumbervision_greenhouse.forecast.growth import (
@@ -17,6 +16,7 @@ from cucumbervision_greenhouse.forecast.growth import (
     rate_share,
     stage_of,
 )
+from cucumbervision_lab.evaluate.harvests import HouseSettings, simulate_house
 
 SPREADS = Spreads(0.008, 0.002, 0.005, 0.003, 0.003)
 SLOWING = GrowthPrior.of(load_profile("long-cucumber"))

@@ -31,11 +31,11 @@ import numpy as np
 import onnxruntime as ort
 from numpy.typing import NDArray
 
-from cucumbervision import Capture, Instance, LengthKind, Measurement, TableTrait
+from cucumbervision import Capture, Instance, Intrinsics, LengthKind, Measurement, TableTrait
 from cucumbervision.capture.pictures import read_color, read_depth
 from cucumbervision.errors import IntrinsicsError
-from cucumbervision.methods.result import Fruit, Reason
 from cucumbervision.methods.table import Region, TableMethod
+from cucumbervision.methods.result import Fruit, Reason
 
 if TYPE_CHECKING:
     from cucumbervision.capture.source import CaptureLister, Folder, ReadOptions

@@ -74,11 +74,11 @@ def agreement(
     off, count = x - y, len(x)
     bias, sd = float(off.mean()), float(off.std(ddof=1))
     # Two-way analysis of variance: fruit, and camera against hand.
-    both = np.stack([x, y])
-    grand = both.mean()
-    fruit_ms = 2 * ((both.mean(axis=0) - grand) ** 2).sum() / (count - 1)
-    rater_ms = count * ((both.mean(axis=1) - grand) ** 2).sum()
-    rest_ms = (((both - grand) ** 2).sum() - fruit_ms * (count - 1) - rater_ms) / (count - 1)
+    raters = np.stack([x, y])
+    grand = raters.mean()
+    fruit_ms = 2 * ((raters.mean(axis=0) - grand) ** 2).sum() / (count - 1)
+    rater_ms = count * ((raters.mean(axis=1) - grand) ** 2).sum()
+    error_ms = (((raters - grand) ** 2).sum() - fruit_ms * (count - 1) - rater_ms) / (count - 1)
     names = np.unique(specimens, return_inverse=True)[1]
     repeats = np.bincount(names)
     within = ((x - (np.bincount(names, x) / repeats)[names]) ** 2).sum()
@@ -95,7 +95,7 @@ def agreement(
         "rmse_cm": float(np.sqrt((off**2).mean())),
         "ccc": float(2 * np.cov(x, y, ddof=0)[0, 1] / (x.var() + y.var() + bias**2)),
         "icc": float(
-            (fruit_ms - rest_ms) / (fruit_ms + rest_ms + 2 * (rater_ms - rest_ms) / count)
+            (fruit_ms - error_ms) / (fruit_ms + error_ms + 2 * (rater_ms - error_ms) / count)
         ),
         "repeat_sd_cm": repeat_sd,
         "repeat_limit_cm": z * math.sqrt(2) * repeat_sd,

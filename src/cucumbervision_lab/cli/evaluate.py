@@ -185,18 +185,18 @@ def benchmark(
             show(f"{key}: {model.bands[''].count} readings")
         show(f"{book.fruit} fruit, level {book.level:.0%}, in {learn_intervals}")
         return
-    about: dict[str, Any] = {"software": f"cucumbervision {__version__}"}
-    about["versions"] = installed_versions()
+    provenance: dict[str, Any] = {"software": f"cucumbervision {__version__}"}
+    provenance["versions"] = installed_versions()
     if harvests is not None:
         from cucumbervision_lab.evaluate.harvests import harvest_tables
 
         tables = harvest_tables(harvests)
         show_tables(tables)
-        show(f"Results: {write_tables(out / 'harvests.json', about, tables)}")
+        show(f"Results: {write_tables(out / 'harvests.json', provenance, tables)}")
         return
     with part_bars() as report:
         readings = run_benchmark(out, quick=quick, stress=stress, workers=workers, report=report)
-    about |= {"stress fruit": stress, "quick": quick}
+    provenance |= {"stress fruit": stress, "quick": quick}
     tables = benchmark_tables(readings)
     show_tables(tables)
-    show(f"Results: {write_tables(out / 'benchmark.json', about, tables)}")
+    show(f"Results: {write_tables(out / 'benchmark.json', provenance, tables)}")

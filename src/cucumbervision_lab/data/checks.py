@@ -153,8 +153,8 @@ def _scene_leaks(dataset: DataSet) -> Iterator[DataSetError]:
         if picture.scene and picture.split:
             first.setdefault(picture.scene, {}).setdefault(picture.split, picture)
     for scene, of_splits in first.items():
-        earlier, *others = of_splits.values()
-        for picture in others:
+        earlier, *later = of_splits.values()
+        for picture in later:
             fault = (
                 f"scene '{scene}' is in {picture.split}, and with {earlier.file} in {earlier.split}"
             )

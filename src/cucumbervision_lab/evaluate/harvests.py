@@ -34,7 +34,7 @@ NAIVE_M_PER_DAY = 0.03
 _GROWN_CM = 30  # by which a cucumber grows from flower to harvest
 _FRUIT = ["class_a_fruit_per_m2", "class_b_fruit_per_m2"]
 _CLIMATE = ["air_mean_c", "outside_radiation_mj_per_m2"]
-_WORTH = (0, 6, 12, 24, 48)  # open days for which the seasons of the others may count
+_WORTH = (0, 6, 12, 24, 48)  # open days for which the seasons of the neighbours may count
 _AIR_DAYS, _LOAD_DAYS = 20, 14
 
 
@@ -103,46 +103,55 @@ def _last_week(house: Compartment, _: Sequence[Compartment], days: int) -> Array
     return house.sums("fruit", start - 7, start) / 7 * days
 
 
-def own_rate(house: Compartment, others: Sequence[Compartment], days: int, worth: int = 0) -> Array:
+def rate_so_far(
+    house: Compartment, neighbours: Sequence[Compartment], days: int, worth: int = 0
+) -> Array:
     """Forecast picks by the rate since the first one, and so many days of the others' seasons."""
-    start, seasons = house.starts(days), [other.daily[other.first :] for other in others]
-    season = np.mean([each["fruit"].sum() / each["open"].sum() for each in seasons])
+    start, seasons = (
+        house.starts(days),
+        [neighbour.daily[neighbour.first :] for neighbour in neighbours],
+    )
+    season = np.mean(
+        [compartment["fruit"].sum() / compartment["open"].sum() for compartment in seasons]
+    )
     picked = house.sums("fruit", 0, start) + worth * season
     rate = picked / (house.sums("open", house.first, start) + worth)
     return np.asarray(rate * house.sums("open", start, start + days))
 
 
-def _with_seasons(house: Compartment, others: Sequence[Compartment], days: int) -> Array:
+def _by_seasons(house: Compartment, neighbours: Sequence[Compartment], days: int) -> Array:
     def error(worth: int) -> float:
-        rest = ((other, [x for x in others if x is not other]) for other in others)
-        gaps = (own_rate(*pair, days, worth) - true_picks(*pair, days) for pair in rest)
+        held_pairs = (
+            (neighbour, [x for x in neighbours if x is not neighbour]) for neighbour in neighbours
+        )
+        gaps = (rate_so_far(*pair, days, worth) - true_picks(*pair, days) for pair in held_pairs)
         return float(sum(np.abs(gap).sum() for gap in gaps))
 
-    return own_rate(house, others, days, min(_WORTH, key=error))
+    return rate_so_far(house, neighbours, days, min(_WORTH, key=error))
 
 
 def _by_climate(
-    house: Compartment, others: Sequence[Compartment], days: int, *, known: bool = False
+    house: Compartment, neighbours: Sequence[Compartment], days: int, *, ahead: bool = False
 ) -> Array:
-    def features(each: Compartment) -> Array:
-        start = each.starts(days)
-        window = (start, start + days) if known else (start - 7, start)
-        climate = [each.sums(name, *window) / (days if known else 7) for name in _CLIMATE]
-        rate = own_rate(each, others, days)
+    def features(compartment: Compartment) -> Array:
+        start = compartment.starts(days)
+        window = (start, start + days) if ahead else (start - 7, start)
+        climate = [compartment.sums(name, *window) / (days if ahead else 7) for name in _CLIMATE]
+        rate = rate_so_far(compartment, neighbours, days)
         return np.column_stack([rate, *(rate * values for values in climate)])
 
-    columns = np.concatenate([features(other) for other in others])
-    fit = np.linalg.lstsq(columns, np.concatenate([true_picks(o, (), days) for o in others]))[0]
+    columns = np.concatenate([features(neighbour) for neighbour in neighbours])
+    fit = np.linalg.lstsq(columns, np.concatenate([true_picks(o, (), days) for o in neighbours]))[0]
     return np.asarray(features(house) @ fit)
 
 
 _Method = Callable[[Compartment, Sequence[Compartment], int], Array]
 _METHODS: dict[str, tuple[_Method, str]] = {
     "last week's rate": (_last_week, "nothing"),
-    "own rate since the first pick": (own_rate, "that nobody picks on Sundays"),
-    "with the seasons of the others": (_with_seasons, "their weight, on the others alone"),
+    "own rate since the first pick": (rate_so_far, "that nobody picks on Sundays"),
+    "with the seasons of the others": (_by_seasons, "their weight, on the others alone"),
     "with climate up to the day": (_by_climate, "fitted to the others"),
-    "with climate of the days ahead": (partial(_by_climate, known=True), "fitted to the others"),
+    "with climate of the days ahead": (partial(_by_climate, ahead=True), "fitted to the others"),
 }
 
 
@@ -153,9 +162,9 @@ def picks_table(houses: Sequence[Compartment]) -> ReportTable:
         for name, (method, chosen) in _METHODS.items():
             sums = []
             for house in houses:
-                others = [other for other in houses if other is not house]
-                true = true_picks(house, others, days)
-                sums.append((np.abs(method(house, others, days) - true).sum(), true.sum()))
+                neighbours = [neighbour for neighbour in houses if neighbour is not house]
+                true = true_picks(house, neighbours, days)
+                sums.append((np.abs(method(house, neighbours, days) - true).sum(), true.sum()))
             wrong, picked = np.transpose([np.sum(sums, axis=0), *sums])
             rows.append((days, name, *(100 * wrong / picked), chosen))
     names = [f"{house.name}:.1" for house in houses]
@@ -219,7 +228,7 @@ class HouseSettings:
         Between rows, fruit, days, and a fruit's days; metres a day.
     links : int
         Fruit whose earlier lengths the forecast gets to see, at most; chosen at random.
-    found : float
+    found_share : float
         Share of fruit that a round finds.
     full_m : float
         The length at which growth would stop, as in `Curve`. Infinite: it does not slow.
@@ -228,7 +237,7 @@ class HouseSettings:
     mean_m: float
     spreads: Spreads
     links: int = 500
-    found: float = 0.95
+    found_share: float = 0.95
     full_m: float = float("inf")
 
 
@@ -276,26 +285,28 @@ def simulate_house(settings: HouseSettings, seed: int) -> SimulatedHouse:
     rng.standard_normal()  # earlier versions drew an error of all lengths: the same houses again
     rounds = {day: _measured(settings, lengths[day], rng) for day in _VISITS}
     read, before = rounds[0], np.array([rounds[day] for day in _VISITS[:-1]])
-    seen = np.flatnonzero(~np.isnan(read))
-    linked = seen[~np.isnan(before[:, seen]).all(axis=0)]
-    known = set(rng.permutation(linked)[: settings.links].tolist())
+    visible = np.flatnonzero(~np.isnan(read))
+    linked = visible[~np.isnan(before[:, visible]).all(axis=0)]
+    with_past = set(rng.permutation(linked)[: settings.links].tolist())
     states = []
-    for true in seen.tolist():
+    for true in visible.tolist():
         earlier = zip(_VISITS[:-1], before[:, true].tolist(), strict=True)
-        seen_before = tuple((day, x, _sd(x)) for day, x in earlier if true in known and x > 0)
+        earlier_lengths = tuple(
+            (day, x, _sd(x)) for day, x in earlier if true in with_past and x > 0
+        )
         position_m, length_m = round(float(rng.uniform(0, 50)), 2), float(read[true])
         place = str(true), str(row[true]), position_m
-        states.append(FruitState(*place, length_m, _sd(length_m), earlier=seen_before))
+        states.append(FruitState(*place, length_m, _sd(length_m), earlier=earlier_lengths))
     truth = np.stack([lengths[day] for day in range(_DAYS + 1)])
-    return SimulatedHouse(tuple(states), truth, seen)
+    return SimulatedHouse(tuple(states), truth, visible)
 
 
 def _measured(settings: HouseSettings, length_m: Array, rng: Generator) -> Array:
     """Return measured lengths, NaN where the fruit was missed or is too small."""
     sd = np.hypot(_RELATIVE_SD * length_m, _FLOOR_SD_M)
     read = length_m + sd * rng.standard_normal(len(length_m))
-    seen = (rng.random(len(length_m)) < settings.found) & (read >= _SHORTEST_M)
-    return np.where(seen, read, np.nan)
+    visible = (rng.random(len(length_m)) < settings.found_share) & (read >= _SHORTEST_M)
+    return np.where(visible, read, np.nan)
 
 
 def _sd(read_m: float) -> float:
@@ -311,7 +322,7 @@ class Scenario:
     links: int
     mean_cm: float | None = None
     full_m: float = float("inf")
-    found: float = 1.0
+    found_share: float = 1.0
 
 
 def classes_of(lengths_m: Array) -> NDArray[np.intp]:
@@ -330,7 +341,7 @@ def run_house(scenario: Scenario, seed: int) -> tuple[float, ...]:
     spreads = Spreads(p.house, p.row * row, p.fruit * fruit, p.day * day, p.fruit_day * fruit_day)
     drawn = prior.mean_m + p.house * rng.standard_normal()
     mean = max(drawn, 0.005) if scenario.mean_cm is None else scenario.mean_cm / 100
-    options = {name: getattr(scenario, name) for name in ("links", "full_m", "found")}
+    options = {name: getattr(scenario, name) for name in ("links", "full_m", "found_share")}
     house = simulate_house(HouseSettings(mean, spreads, **options), seed)
     prediction = forecast(house.fruit, fit_growth(house.fruit, prior), PROFILE, seed=seed)
     return compare(prediction, house)
@@ -343,7 +354,7 @@ def compare(prediction: Forecast, house: SimulatedHouse) -> tuple[float, ...]:
     forecast, the fruit that become ready within three days, and the error of their number.
     """
     classes = len(PROFILE.classes)
-    true_class = classes_of(house.lengths_m[:, house.of_fruit])  # of the fruit that were seen
+    true_class = classes_of(house.lengths_m[:, house.of_fruit])  # of the fruit that were visible
     today_m = np.array([f.length_m for f in prediction.fruit])
     naive = classes_of(today_m + NAIVE_M_PER_DAY * np.arange(len(true_class))[:, None])
     usable = prediction.complete[:, :classes] & (prediction.days[:, None] > 0)
@@ -401,7 +412,7 @@ def harvest_tables(folder: Path) -> list[ReportTable]:
     for month in range(3):
         took = ripe[ripe.index // 30 == month]
         name = f"month {month + 1}: {took.median():.0f} days from flower to harvest"
-        groups.append([Scenario(name, 500, _GROWN_CM / x, found=0.9) for x in took])
+        groups.append([Scenario(name, 500, _GROWN_CM / x, found_share=0.9) for x in took])
     comment = (
         "Rounds every second day find 90 % of the fruit. Aims: 12 %, and 76 to 86 % hold. The "
         "growth prior was chosen on other simulated houses."

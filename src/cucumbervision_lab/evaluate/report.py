@@ -286,7 +286,7 @@ def write_detection_report(result: Evaluation, tables: Sequence[ReportTable], ou
         If a file cannot be written.
     """
     frames, networks = result.frames, result.networks
-    about = {
+    provenance = {
         "software": f"cucumbervision {__version__}",
         "licence": LICENCE,
         "data set": result.data.folder.name,
@@ -307,7 +307,7 @@ def write_detection_report(result: Evaluation, tables: Sequence[ReportTable], ou
         "ends": outcomes.end_rows(frames, networks.confidence),
         "lengths": result.readings.reindex(columns=_LENGTH_COLUMNS),
     }
-    return _written(out / "results.json", about, tables, rows)
+    return _written(out / "results.json", provenance, tables, rows)
 
 
 def write_photo_report(result: Evaluation, tables: Sequence[ReportTable], out: Path) -> Path:
@@ -318,9 +318,9 @@ def write_photo_report(result: Evaluation, tables: Sequence[ReportTable], out: P
     CucumberVisionError
         If a file cannot be written.
     """
-    about = {"confidence": result.networks.confidence}
+    provenance = {"confidence": result.networks.confidence}
     rows = {f"photo_{name}": frame for name, frame in _rows(result).items()}
-    return _written(out / "photos.json", about, tables, rows)
+    return _written(out / "photos.json", provenance, tables, rows)
 
 
 def _rows(result: Evaluation) -> dict[str, pd.DataFrame]:
@@ -333,11 +333,11 @@ def _rows(result: Evaluation) -> dict[str, pd.DataFrame]:
 
 def _written(
     path: Path,
-    about: Mapping[str, object],
+    provenance: Mapping[str, object],
     tables: Sequence[ReportTable],
     rows: Mapping[str, pd.DataFrame],
 ) -> Path:
-    benchmark_report.write_tables(path, about, tables)
+    benchmark_report.write_tables(path, provenance, tables)
     with wrap_os_errors("cannot be written", path.parent):
         for name, frame in rows.items():
             cells = frame.round(6).astype(object).where(frame.notna(), None)

@@ -105,9 +105,9 @@ class MeasuredFruit:
 
     def ends(self) -> Iterator[tuple[Array, float, float]]:
         """Yield the axis from either end, what is missing there, and 1 for the stem end or NaN."""
-        axis, known = np.array(self.axis_m), self.stem_first is not None
-        yield axis, self.missing_m[0], float(self.stem_first or 0.0) if known else np.nan
-        yield axis[::-1], self.missing_m[1], float(not self.stem_first) if known else np.nan
+        axis, unknown = np.array(self.axis_m), self.stem_first is None
+        yield axis, self.missing_m[0], np.nan if unknown else float(self.stem_first or 0.0)
+        yield axis[::-1], self.missing_m[1], np.nan if unknown else float(not self.stem_first)
 
 
 def end_truths(axis_m: Array, true_m: Array) -> tuple[tuple[float, float], bool]:
@@ -463,8 +463,8 @@ def collect_end_crops(fruit: Sequence[MeasuredFruit], data: DataSet, seed: int =
             for by_m in moves:
                 crop = end_crop(*image, moved_axis(line, by_m) if by_m else line, diameter_m)
                 missing = (missing_m - by_m) / measured.true_m[0]
-                about = number, by_m != 0, measured.held_out
-                rows.append((crop.planes, crop.shape, missing, stem, *about))
+                numbers = number, by_m != 0, measured.held_out
+                rows.append((crop.planes, crop.shape, missing, stem, *numbers))
     if not rows:
         raise TrainingError(
             "no measured fruit", source=data.folder, remedy="give a drawn set with depth"
@@ -499,7 +499,7 @@ def collect_covered_ends(
         If a picture cannot be read.
     """
     rng, rows = np.random.default_rng(seed), []
-    learnt = [(k, one) for k, one in enumerate(fruit) if not (one.cut or one.held_out)]
+    learnt = [(k, body) for k, body in enumerate(fruit) if not (body.cut or body.held_out)]
     for capture, number, measured in _with_captures(learnt, data):
         for line, missing_m, stem in measured.ends():
             if abs(missing_m) <= _TRUE_END * measured.true_m[0]:

@@ -288,7 +288,7 @@ def looked_fruit(
     for start in range(0, len(held), _AT_ONCE):
         part = held[start : start + _AT_ONCE]
         looks += look(
-            [EndCrop(one.planes, (float(one.shapes[0]), float(one.shapes[1]))) for one in part]
+            [EndCrop(crop.planes, (float(crop.shapes[0]), float(crop.shapes[1]))) for crop in part]
         )
     chosen = [fruit[k] for k in held.fruit[::2]]
     return chosen, list(zip(looks[::2], looks[1::2], strict=True))

@@ -93,8 +93,7 @@ def _table(fruit: list[FruitRow], path: Path) -> None:
     lines = [_line(view, saved.get(view.key, (None, None))) for view in page_fruit]
     data = {"lines": lines, "typed": typed, "least": LENGTHS[0], "most": LENGTHS[1]}
     send = lambda: typed.update(st.session_state[key].typed or {})  # noqa: E731
-    default: dict[str, Any] = {"typed": {}}
-    component("handlist")(key=key, data=data, default=default, on_typed_change=send)
+    component("handlist")(key=key, data=data, default={"typed": {}}, on_typed_change=send)
     page_elements.draw_more(fruit, "hand_page", _LINES)
     bad = _read(typed, saved)
     if bad:

@@ -89,9 +89,11 @@ def draw_choice() -> None:
         return
     titles, effects = {"": _("none")}, [_("Lengths are as the camera gives them.")]
     for path, site in saved.items():
-        is_read = isinstance(site, SiteCalibration)
-        titles[path] = f"{site.name}, {site.created[:10]}" if is_read else Path(path).name
-        effects.append(plain(_effect(site)) if is_read else sentence(site))
+        if isinstance(site, SiteCalibration):
+            titles[path], words = f"{site.name}, {site.created[:10]}", plain(_effect(site))
+        else:
+            titles[path], words = Path(path).name, sentence(site)
+        effects.append(words)
     page_elements.setting(
         "calibration",
         st.radio,

@@ -57,7 +57,7 @@ def _ink() -> str:
     return ink(st.context.theme.type)
 
 
-def _bars(lines: list[dict[str, Any]], y: Any, **encoding: Any) -> alt.Chart:
+def _bars(lines: list[dict[str, Any]], y: Any, **encoding: Any) -> Any:
     """Return bars in the colours of the classes, which `lines` name by their labels."""
     names = [line["class"] for line in lines]
     table = [{**line, "class": texts.label_words(line["class"])} for line in lines]

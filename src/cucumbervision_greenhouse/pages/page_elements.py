@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from functools import lru_cache, partial, wraps
+from functools import lru_cache, wraps
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -241,8 +241,7 @@ def draw_more(items: Sequence[Any], key: str, size: int) -> None:
     drawn = st.session_state.get(key, size)
     if len(items) > drawn:
         words = _("Show more ({drawn} of {all})").format(drawn=drawn, all=len(items))
-        more = partial(st.session_state.__setitem__, key, drawn + 5 * size)
-        button(st, words, "expand_more", more)
+        button(st, words, "expand_more", st.session_state.__setitem__, key, drawn + 5 * size)
 
 
 def of_round(draw: Callable[[RoundView], None]) -> Callable[[], None]:

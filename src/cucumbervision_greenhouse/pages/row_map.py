@@ -66,7 +66,7 @@ def _rows(walk: RoundView, opened: str) -> None:
         )
         with go:
             page_elements.link("results", _("Show the least certain"), fruit=unsure[0].key)
-    save = {"file_name": f"{walk.round.name or 'row'}.svg", "mime": "image/svg+xml"}
+    save: dict[str, Any] = {"file_name": f"{walk.round.name or 'row'}.svg", "mime": "image/svg+xml"}
     st.download_button(_("Save as SVG"), sheet(drawn), icon=":material/download:", **save)
 
 

@@ -101,9 +101,9 @@ def _metrics(counts: ChangeCounts, before: Round, after: Round) -> None:
             "same fruit."
         )
         st.warning(words, icon=":material/link_off:")
-    words = []
+    notes = []
     if n := counts.not_walked:
-        words.append(
+        notes.append(
             counted(
                 n,
                 "{n} fruit hangs where only one of the two rounds went: not compared.",
@@ -111,21 +111,21 @@ def _metrics(counts: ChangeCounts, before: Round, after: Round) -> None:
             )
         )
     if n := counts.returned:
-        words.append(
+        notes.append(
             counted(
                 n,
                 "{n} fruit was ticked off as picked and seen again all the same.",
                 "{n} fruit were ticked off as picked and seen again all the same.",
             )
         )
-    words.append(
+    notes.append(
         _(
             "'Not seen again' are fruit that were picked without being ticked off, fell, or were "
             "missed. 'New' may have been missed before. Growth is the median of the fruit seen on "
             "both days."
         )
     )
-    st.caption(" ".join(words))
+    st.caption(" ".join(notes))
 
 
 def _offer(comparison: DayComparison, before: Round, after: Round) -> None:

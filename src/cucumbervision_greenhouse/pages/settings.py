@@ -66,7 +66,7 @@ def _language() -> None:
     draft = {"nl": " (concept)", "es": " (borrador)"}
     names = {"": _("As the browser")}
     names |= {x: name + draft.get(x, "") * (x in DRAFTS) for x, name in LANGUAGES.items()}
-    choose = {"format_func": names.__getitem__}
+    choose: dict[str, Any] = {"format_func": names.__getitem__}
     page_elements.setting("language", st.selectbox, _("Language"), list(names), **choose)
 
 

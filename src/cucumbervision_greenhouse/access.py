@@ -9,8 +9,9 @@ from __future__ import annotations
 import hmac
 import re
 import secrets
+from collections.abc import Awaitable, Callable, Mapping, MutableMapping
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from urllib.parse import urlencode
 
 from starlette.datastructures import MutableHeaders
@@ -20,9 +21,6 @@ from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from cucumbervision.access import is_loopback
 from cucumbervision.errors import AccessError
 from cucumbervision.service.requests import RequestError, bounded, check_source
-
-if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable, Mapping, MutableMapping
 
 COOKIE = "cucumbervision_token"
 DEVICE = "cucumbervision_device"

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Awaitable, Callable
 from functools import wraps
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
-from starlette.requests import ClientDisconnect
+from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response
 
 from cucumbervision.errors import CucumberVisionError, DiskFullError, named_error
@@ -16,12 +17,6 @@ from cucumbervision_greenhouse import resources
 from cucumbervision_greenhouse.access import device_of
 from cucumbervision_greenhouse.language import ask_for, words_of
 from cucumbervision_greenhouse.language import gettext as _
-
-if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable
-
-    from starlette.requests import Request
-
 
 Key = Annotated[str, Field(pattern=r"^[0-9a-f-]{36}$")]
 """Key of a round, stop or upload."""

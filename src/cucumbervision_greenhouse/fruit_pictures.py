@@ -3,29 +3,24 @@
 from __future__ import annotations
 
 import base64
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from cucumbervision.capture.frames import valid_depth
+from cucumbervision.capture.frames import Capture, valid_depth
+from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.fruit.mask_codes import decode_rle
 from cucumbervision.methods.paper_methods import window_depths
 from cucumbervision.methods.table import method_color
 from cucumbervision.run.overlay import as_jpeg, mask_outlines, path_px
 from cucumbervision_greenhouse.language import gettext as _
+from cucumbervision_greenhouse.settings import Units
+from cucumbervision_greenhouse.store.records import CaptureRecord, FruitRow
 from cucumbervision_greenhouse.words import label_words, length_words
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    from cucumbervision.capture.frames import Capture
-    from cucumbervision.capture.intrinsics import Intrinsics
-    from cucumbervision_greenhouse.settings import Units
-    from cucumbervision_greenhouse.store.records import CaptureRecord, FruitRow
 
 CLASS_GREENS = ("#1B7837", "#5AAE61", "#A6DBA0")
 """Colours of a class, the best darkest."""
@@ -140,13 +135,12 @@ def stop_layers(
     Parameters
     ----------
     capture : CaptureRecord
-        With masks, as `Store.stop` returns it.
+        The capture.
     fruit : sequence of FruitRow
-        Its fruit with all corrections.
+        Its fruit with their masks, as `Store.detections` returns them with `shapes`.
     grades : mapping of str to str
         Names of their classes, by the fruit's keys.
     """
-    masks = {row.fruit: row.mask for row in capture.fruit}
     layers: dict[str, dict[str, Any]] = {}
     for view in fruit:
         record, name = view, grades[view.key]
@@ -154,11 +148,10 @@ def stop_layers(
         shapes = layers.setdefault(
             name, {"name": label_words(name), "color": color, "on": True, "shapes": []}
         )
-        rle = view.mask or masks.get(view.fruit)
-        if rle is None:
+        if view.mask is None:
             lines = [_box_line(record)]
         else:
-            mask = decode_rle(rle, capture.height_px, capture.width_px)
+            mask = decode_rle(view.mask, capture.height_px, capture.width_px)
             lines = [{"kind": "area", "points": line} for line in mask_outline(mask)]
         centre_px = [
             (record.box_x1_px + record.box_x2_px) / 2,

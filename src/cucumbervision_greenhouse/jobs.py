@@ -6,19 +6,16 @@ import logging
 import os
 import sys
 import threading
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision_greenhouse.language import counted, words_of
 from cucumbervision_greenhouse.language import gettext as _
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
-
-    from cucumbervision_greenhouse.store.waiting import Waiting
+from cucumbervision_greenhouse.store.waiting import Waiting
 
 
 def fault_of(future: Future[Any]) -> str:
@@ -179,66 +176,43 @@ def progress_of(
     fault : str
         Why the queue cannot be measured; empty where it can.
     """
-    stops = measured or {}
+    stops, first, words = measured or {}, "", ""
     queued = [capture.round_key == round_key for capture in captures if capture.key not in stops]
     waiting, elsewhere = sum(queued), len(queued) - sum(queued)
-    done = list(stops.values()).count(round_key)
-    total = waiting + done
+    done = list(stops.values()).count(round_key) if waiting else 0
+    job = next((candidate for candidate in jobs if candidate.round_key in ("", round_key)), None)
     if waiting:
         first = counted(
             waiting,
             "{n} capture is saved, and not measured yet. Its results appear here.",
             "{n} captures are saved, and none is measured yet. Their results appear here.",
         )
-        return Progress(
-            _measuring_words(done, waiting, elsewhere, fault), first, done, total, waiting
+        words = counted(
+            waiting + done,
+            "Measuring: {done} of {n} capture",
+            "Measuring: {done} of {n} captures",
+            done=done,
         )
-    first = ""
-    if failed := sum(capture.round_key == round_key for capture in aside):
+    elif failed := sum(capture.round_key == round_key for capture in aside):
         first = counted(
             failed,
             "{n} capture could not be measured; it is kept beside the store.",
             "{n} captures could not be measured; they are kept beside the store.",
         )
-    job = next((candidate for candidate in jobs if candidate.round_key in ("", round_key)), None)
-    if job is not None:
-        words = _("{title}: {done} of {all}") if job.total else "{title} …"
-        words = words.format(title=_(job.title), done=job.done, all=job.total)
-        return Progress(words, first, job.done, job.total)
-    if not elsewhere:
-        return Progress(first=first)
-    words = counted(
-        elsewhere, "Measuring {n} capture of other rounds", "Measuring {n} captures of other rounds"
-    )
-    return Progress(words, first)
-
-
-def _measuring_words(done: int, waiting: int, elsewhere: int, fault: str) -> str:
-    """Return the words for a round whose captures are being measured.
-
-    Examples
-    --------
-    >>> _measuring_words(12, 31, 0, "")
-    'Measuring: 12 of 43 captures'
-    >>> _measuring_words(0, 1, 3, "")
-    'Measuring: 0 of 1 capture; 3 of other rounds wait too'
-    >>> _measuring_words(0, 2, 0, "lost.json: does not exist")
-    '2 captures wait to be measured: lost.json: does not exist'
-    """
-    if fault:
-        return counted(
+    if waiting and fault:
+        words = counted(
             waiting,
             "{n} capture waits to be measured: {fault}",
             "{n} captures wait to be measured: {fault}",
             fault=fault,
         )
-    words = counted(
-        waiting + done,
-        "Measuring: {done} of {n} capture",
-        "Measuring: {done} of {n} captures",
-        done=done,
-    )
-    if not elsewhere:
-        return words
-    rounds = counted(elsewhere, "{n} of other rounds waits too", "{n} of other rounds wait too")
-    return f"{words}; {rounds}"
+    elif job is not None and not waiting:
+        words = _("{title}: {done} of {all}") if job.total else "{title} …"
+        words = words.format(title=_(job.title), done=job.done, all=job.total)
+        return Progress(words, first, job.done, job.total)
+    if elsewhere:
+        others = counted(
+            elsewhere, "{n} capture of other rounds waits", "{n} captures of other rounds wait"
+        )
+        words = "; ".join(filter(None, (words, others)))
+    return Progress(words, first, done, waiting + done, waiting)

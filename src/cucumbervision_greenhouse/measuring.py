@@ -4,53 +4,42 @@ from __future__ import annotations
 
 import logging
 import threading
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from cucumbervision.capture.frames import Capture, valid_depth
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
-from cucumbervision.errors import CucumberVisionError, DiskFullError, InstancesError, StoreAwayError
+from cucumbervision.errors import DiskFullError, InstancesError, StoreAwayError, named_error
 from cucumbervision.fruit.instance import Instance, MaskSource
 from cucumbervision.fruit.mask_codes import decode_rle
 from cucumbervision.fruit.masks import box_of_mask, mask_iou
 from cucumbervision.methods.flags import Flag
-from cucumbervision.run.batch import in_turn
-from cucumbervision.run.measurer import Failure, Measurer
-from cucumbervision_greenhouse.rounds.adding import (
-    RoundCapture,
-    add_all,
-    capture_sha256,
-    fruit_record,
-    require_store,
-    stored_calibration,
-)
+from cucumbervision.methods.result import Fruit
+from cucumbervision.networks.registry import Registry
+from cucumbervision.run.measurer import Measurer
+from cucumbervision.run.options import MeasureOptions
+from cucumbervision_greenhouse.jobs import Job
+from cucumbervision_greenhouse.rounds import adding
 from cucumbervision_greenhouse.rounds.poses import stored_pose
-from cucumbervision_greenhouse.store.records import Verdict
+from cucumbervision_greenhouse.store.records import (
+    DetectionDetail,
+    FruitRow,
+    Point,
+    StopRecord,
+    Verdict,
+)
+from cucumbervision_greenhouse.store.repository import Store
+from cucumbervision_greenhouse.store.waiting import WaitingCaptures
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    from numpy.typing import NDArray
-
-    from cucumbervision.methods.result import Fruit
     from cucumbervision.networks.find import NetworkSegmenter
-    from cucumbervision.networks.registry import Registry
-    from cucumbervision.run.options import MeasureOptions
-    from cucumbervision_greenhouse.jobs import Job
-    from cucumbervision_greenhouse.store.records import (
-        CaptureRecord,
-        DetectionDetail,
-        FruitRow,
-        Point,
-        StopRecord,
-    )
-    from cucumbervision_greenhouse.store.repository import Store
-    from cucumbervision_greenhouse.store.waiting import Waiting, WaitingCaptures
 
 
 class SharedMeasurer:
@@ -93,16 +82,30 @@ class SharedMeasurer:
             return loaded
         return None
 
-    def _measure_stored(
-        self, capture: Capture, stop: StopRecord, instance: Instance, options: MeasureOptions
-    ) -> Fruit:
-        """Measure a fruit of a stored capture with the calibration that its depth has already.
+    def _outlined(
+        self,
+        store: Store,
+        stop: StopRecord,
+        capture: Capture,
+        mask: NDArray[np.bool_],
+        options: MeasureOptions,
+        before: FruitRow,
+    ) -> tuple[Fruit, FruitRow]:
+        """Measure a fruit of a stored capture in this mask, and return it with its row.
 
-        The one in the options may be another camera's, or newer.
+        With the calibration that the depth has already: the one in the options may be another
+        camera's, or newer.
         """
+        _refuse_copy(store, stop, capture, mask, but=before.fruit)
+        keypoints = _kept_keypoints(before.keypoints, mask)
+        box, source = box_of_mask(mask), MaskSource.SAM
+        instance = Instance(box, before.score, before.label, mask, source, keypoints=keypoints)
         plain = replace(options, calibration=None)
         measurer = self._with_networks_of(options) or self.with_options(plain)
-        return measurer.calibrated_by(stored_calibration(stop)).measure_instance(capture, instance)
+        measurer = measurer.calibrated_by(adding.stored_calibration(stop))
+        fruit = measurer.measure_instance(capture, instance)
+        pose = stored_pose(stop.pose, stop.side)
+        return fruit, adding.fruit_record(capture, before.fruit, fruit, pose)
 
     def warm_up(self, options: MeasureOptions) -> None:
         """Load the networks, and run each once, since the first run takes much longer."""
@@ -180,7 +183,7 @@ class SharedMeasurer:
 
         A mask is shown as an outline first, and measured then.
         """
-        key = capture_sha256(capture), *map(float, prompt)
+        key = adding.capture_sha256(capture), *map(float, prompt)
         if kind not in self._masks or self._masks[kind][0] != key:
             self._masks[kind] = key, _some(draw())
         return self._masks[kind][1]
@@ -192,7 +195,6 @@ class SharedMeasurer:
         capture: Capture,
         mask: NDArray[np.bool_],
         options: MeasureOptions,
-        drawn_by: MaskSource = MaskSource.SAM,
     ) -> int:
         """Measure a stored fruit again with this mask, and save the result as a correction; logged.
 
@@ -203,22 +205,8 @@ class SharedMeasurer:
         InstancesError
             If the mask is another fruit's.
         """
-        record = detail.view
-        _refuse_copy(store, detail.stop, detail.capture, mask, but=record.fruit)
-        keypoints = _kept_keypoints(record.keypoints, mask)
-        instance = Instance(
-            box=box_of_mask(mask),
-            confidence=record.score,
-            class_name=record.label,
-            mask=mask,
-            mask_source=drawn_by,
-            detector_mask=None,
-            keypoints=keypoints,
-        )
-        measurement = self._measure_stored(capture, detail.stop, instance, options)
-        return store.correct(
-            detail.view.key, _placed(capture, detail.stop, measurement, record.fruit)
-        )
+        _, row = self._outlined(store, detail.stop, capture, mask, options, detail.view)
+        return store.correct(detail.view.key, row)
 
     def add(
         self,
@@ -257,12 +245,8 @@ class SharedMeasurer:
                 "no fruit was found there: the outline takes most of the picture",
                 remedy="tap its middle or draw a closer box",
             )
-        taken = next(candidate for candidate in stop.captures if candidate.name == capture.name)
-        _refuse_copy(store, stop, taken, mask)
-        instance = Instance(box_of_mask(mask), mask=mask, mask_source=MaskSource.SAM)
-        measurement = self._measure_stored(capture, stop, instance, options)
-        fruit = _placed(capture, stop, measurement, 1)
-        if is_doubtful(measurement, capture):
+        measured, fruit = self._outlined(store, stop, capture, mask, options, FruitRow(0))
+        if is_doubtful(measured, capture):
             flags = f"{fruit.flags} {Flag.DOUBTFUL}".strip()
             fruit = fruit.with_(flags=flags, score=_DOUBTFUL_SCORE)
         return store.add_fruit(stop.key, capture.name, fruit)
@@ -274,11 +258,6 @@ class SharedMeasurer:
 
                 self._segmenter = open_segmenter(prompt="box", registry=self._registry)
             return self._segmenter
-
-
-def _placed(capture: Capture, stop: StopRecord, fruit: Fruit, number: int) -> FruitRow:
-    """Return a fruit of a stored capture, with its offset along the row."""
-    return fruit_record(capture, number, fruit, stored_pose(stop.pose, stop.side))
 
 
 def measure_waiting(
@@ -309,58 +288,28 @@ def measure_waiting(
         If nothing can be measured at all: a network or the calibration cannot be loaded, the disk
         is full, or the store is not there.
     """
-    while waiting.captures():
-        _measure_alike(waiting, measurer, store, options, settle, job)
+    while queue := waiting.captures():
+        measures = measurer.with_options(options())
+        measures.load()  # if this fails, no capture is tried
+        queued, *later = queue
+        waiting.begin(queued)
+        try:
+            if store.stop_is_deleted(queued.key) is None:
+                capture = queued.load()
+                stop = adding.Place().stop(capture, queued.key, queued.round_key)
+                adding.save_measured(store, stop, measures.attempt(capture), measures)
+        except Exception as error:
+            fault = named_error(error, queued.key)
+            if isinstance(fault, DiskFullError | StoreAwayError):
+                waiting.forget_start(queued)  # no fault of the capture
+                raise fault from error
+            logging.getLogger(__name__).warning("not measured: %s", fault)
+            continue
+        job.measured[queued.key] = queued.round_key
+        waiting.done(queued)
+        if all(other.round_key != queued.round_key for other in later):
+            settle(queued.round_key)
     return len(job.measured)
-
-
-def _measure_alike(
-    waiting: WaitingCaptures,
-    measurer: SharedMeasurer,
-    store: Store,
-    options: Callable[[], MeasureOptions],
-    settle: Callable[[str], object],
-    job: Job,
-) -> None:
-    """Measure queued captures until the queue is empty or the options change."""
-    queue: list[Waiting] = []
-    measures = measurer.with_options(options())
-    measures.load()  # if this fails, no capture is tried
-
-    def items() -> Iterator[RoundCapture | Failure]:
-        nonlocal queue
-        while queue := waiting.captures():
-            queued_capture = queue[0]
-            waiting.begin(queued_capture)
-            try:
-                yield RoundCapture.to_add(
-                    store,
-                    queued_capture.round_key,
-                    queued_capture.load(),
-                    key=queued_capture.key,
-                    keep=True,
-                )
-            except CucumberVisionError as error:
-                yield Failure.of(error, queued_capture.key)
-            if measurer.with_options(options()) is not measures:
-                return
-
-    # In turn: each capture leaves the queue, or is dropped, before the next is read.
-    try:
-        for _, added in add_all(store, items(), measures, in_turn):
-            queued_capture = queue[0]
-            require_store(added)
-            if added.failure is not None:
-                logging.getLogger(__name__).warning("not measured: %s", added.failure.message)
-                continue
-            job.measured[queued_capture.key] = queued_capture.round_key
-            waiting.done(queued_capture)
-            if all(later.round_key != queued_capture.round_key for later in queue[1:]):
-                settle(queued_capture.round_key)
-    except (DiskFullError, StoreAwayError):
-        if queue:  # no fault of the capture, which would be set aside for it
-            waiting.forget_start(queue[0])
-        raise
 
 
 _SAME_IOU = 0.7  # overlap above which two outlines at one point are of the same object
@@ -415,11 +364,7 @@ _COPY_SHARE = 0.6  # share of the smaller of two masks above which both are one 
 
 
 def _refuse_copy(
-    store: Store,
-    stop: StopRecord,
-    capture: CaptureRecord,
-    mask: NDArray[np.bool_],
-    but: int | None = None,
+    store: Store, stop: StopRecord, capture: Capture, mask: NDArray[np.bool_], but: int
 ) -> None:
     """Refuse a mask that belongs to another fruit of the picture; deleted fruit are ignored.
 
@@ -428,11 +373,9 @@ def _refuse_copy(
     InstancesError
         Naming that fruit.
     """
-    for view in store.detections(stop.round_key, shapes=True):
-        number, place = view.fruit, (view.stop_key, view.capture)
-        if place != (stop.key, capture.name) or number == but or view.verdict is Verdict.REJECTED:
-            continue
-        if view.mask is None:
+    for view in store.detections(stop.round_key, stop.key, shapes=True):
+        number, is_rejected = view.fruit, view.verdict is Verdict.REJECTED
+        if view.capture != capture.name or number == but or is_rejected or view.mask is None:
             continue
         existing = decode_rle(view.mask, *mask.shape)
         shared, smaller = int((mask & existing).sum()), min(int(mask.sum()), int(existing.sum()))

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import os
 import threading
+from collections.abc import Iterable
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import streamlit as st
 
@@ -21,6 +21,7 @@ from cucumbervision_greenhouse.language import (
     best_of,
     decide_by,
     gettext,
+    marked,
     sentence,
     told_apart,
 )
@@ -34,13 +35,10 @@ from cucumbervision_greenhouse.settings import (
     settings_file,
     write_settings,
 )
-from cucumbervision_greenhouse.store.records import Round
+from cucumbervision_greenhouse.store.records import Round, new_key
 from cucumbervision_greenhouse.store.repository import Store, open_store
 from cucumbervision_greenhouse.store.waiting import WaitingCaptures, waiting_folder
 from cucumbervision_greenhouse.uploads import Uploads
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
 
 KEPT = 8  # largest number of cached rounds, forecasts or fruit
 
@@ -178,6 +176,16 @@ def rounds() -> list[Round]:
         store().rounds(),
         key=lambda round_summary: (is_demonstration(round_summary.key), -round_summary.walked_s),
     )
+
+
+USUAL_NAME, USUAL_HOUSE = marked("Morning round"), marked("House 1")
+"""What an empty field of a new round stands for, and shows."""
+
+
+def new_round(name: str, house: str, profile: str = "", key: str = "") -> Round:
+    """Return a round that is begun, by default with the crop of the settings."""
+    name, house = name.strip() or gettext(USUAL_NAME), house.strip() or gettext(USUAL_HOUSE)
+    return Round(key or new_key(), name, house, profile=profile or settings().profile)
 
 
 def houses(of_rounds: Iterable[Round]) -> list[str]:

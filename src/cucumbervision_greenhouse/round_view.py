@@ -6,6 +6,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import date
 from functools import cached_property
 from typing import Any, TypeVar
 
@@ -18,21 +19,8 @@ from cucumbervision_greenhouse.forecast.forecast import Forecast
 from cucumbervision_greenhouse.forecast.picking import Ready, ready_on
 from cucumbervision_greenhouse.fruit_pictures import as_data_url, crop
 from cucumbervision_greenhouse.resources import KEPT, profile_of, rounds, store, worker
+from cucumbervision_greenhouse.rounds import day_comparison, forecasting
 from cucumbervision_greenhouse.rounds.adding import stored_capture
-from cucumbervision_greenhouse.rounds.day_comparison import (
-    DayComparison,
-    compare_rounds,
-    fruit_days,
-    same_fruit,
-)
-from cucumbervision_greenhouse.rounds.forecasting import (
-    Today,
-    forecast_today,
-    grades_today,
-    lengths_today,
-    midnight_s,
-    read_today,
-)
 from cucumbervision_greenhouse.rounds.fruit_table import (
     RoundContent,
     along_rows,
@@ -40,14 +28,9 @@ from cucumbervision_greenhouse.rounds.fruit_table import (
     read_round,
     round_doubts,
 )
-from cucumbervision_greenhouse.rounds.merge_and_link import DAY_S
-from cucumbervision_greenhouse.store.records import (
-    CaptureRecord,
-    FruitRow,
-    Round,
-    StopRecord,
-    Verdict,
-)
+from cucumbervision_greenhouse.rounds.harvest import Compared, Picked, compare_harvests, harvests
+from cucumbervision_greenhouse.rounds.merge_and_link import DAY_S, rounds_of_house
+from cucumbervision_greenhouse.store import records
 from cucumbervision_greenhouse.tasks import mergings, progress
 
 LINES = 20  # fruit on one page of the list
@@ -73,21 +56,21 @@ def news(round_key: str) -> dict[str, Any]:
     }
 
 
-def _version(round_summary: Round) -> tuple[object, ...]:
+def _version(round_summary: records.Round) -> tuple[object, ...]:
     """Return a value that changes whenever a page of the round would."""
     return (*_measured_version(round_summary), store().newest_action(round_summary.key))
 
 
-def _measured_version(round_summary: Round) -> tuple[object, ...]:
+def _measured_version(round_summary: records.Round) -> tuple[object, ...]:
     counts = round_summary.stops, round_summary.fruit, round_summary.last_s
     crop = profile_of(round_summary)[1].model_dump_json()
     return (round_summary.key, *counts, mergings()[round_summary.key], crop)
 
 
-def _unpicked_version(round_summary: Round) -> tuple[object, ...]:
+def _unpicked_version(round_summary: records.Round) -> tuple[object, ...]:
     """Return a value that changes with a round's pick list, except when fruit are picked."""
     newest = store().newest_action(round_summary.key, without=("pick", "unpick"))
-    return (*_measured_version(round_summary), newest, midnight_s(time.time()))
+    return (*_measured_version(round_summary), newest, forecasting.midnight_s(time.time()))
 
 
 _Reader = TypeVar("_Reader", bound=Callable[..., Any])
@@ -99,16 +82,16 @@ def _cached(**options: Any) -> Callable[[_Reader], _Reader]:
         "show_spinner": False,
         "max_entries": KEPT,
         "ttl": 600,
-        "hash_funcs": {Round: _version},
+        "hash_funcs": {records.Round: _version},
     }
     keep: Callable[[_Reader], _Reader] = st.cache_resource(**how | options)
     return keep
 
 
-_OF_FRUIT = {FruitRow: lambda view: (view.key, view.corrected, view.box_x1_px)}
+_OF_FRUIT = {records.FruitRow: lambda view: (view.key, view.corrected, view.box_x1_px)}
 _OF_PICTURE: dict[type, Callable[[Any], Any]] = {
-    StopRecord: lambda stop: (stop.key, stop.row, stop.side, stop.position_m, stop.step),
-    CaptureRecord: lambda taken: (taken.name, taken.color, taken.depth),
+    records.StopRecord: lambda stop: (stop.key, stop.row, stop.side, stop.position_m, stop.step),
+    records.CaptureRecord: lambda taken: (taken.name, taken.color, taken.depth),
 }
 
 
@@ -126,7 +109,7 @@ class RoundView:
         The crop that grades its fruit.
     """
 
-    round: Round
+    round: records.Round
     content: RoundContent
     profile: CropProfile
 
@@ -136,19 +119,19 @@ class RoundView:
         return self.round.key
 
     @cached_property
-    def best(self) -> Sequence[FruitRow]:
+    def best(self) -> Sequence[records.FruitRow]:
         """Each fruit once with the length from all views, deleted ones included, along the rows."""
         row_of_fruit = {fruit.key: fruit for fruit in fruit_table(self.content)}
         best = [row_of_fruit.get(view.key, view) for view in self.content.views if view.best]
         return sorted(best, key=along_rows)
 
     @cached_property
-    def fruit(self) -> Sequence[FruitRow]:
+    def fruit(self) -> Sequence[records.FruitRow]:
         """The fruit without deleted ones."""
-        return [fruit for fruit in self.best if fruit.verdict is not Verdict.REJECTED]
+        return [fruit for fruit in self.best if fruit.verdict is not records.Verdict.REJECTED]
 
     @cached_property
-    def shaped(self) -> Sequence[FruitRow]:
+    def shaped(self) -> Sequence[records.FruitRow]:
         """The fruit without deleted ones, with their paths."""
         shapes = {view.key: view for view in store().detections(self.key, shapes=True)}
         return [
@@ -156,19 +139,19 @@ class RoundView:
         ]
 
     @cached_property
-    def deleted(self) -> Sequence[FruitRow]:
+    def deleted(self) -> Sequence[records.FruitRow]:
         """Deleted fruit, which no figure counts."""
-        return [fruit for fruit in self.best if fruit.verdict is Verdict.REJECTED]
+        return [fruit for fruit in self.best if fruit.verdict is records.Verdict.REJECTED]
 
     @cached_property
     def grades(self) -> Mapping[str, Grade]:
         """Grades of all fruit by their keys: those of today."""
-        return grades_today(self.best, self.profile, today_of(self.round).forecast)
+        return forecasting.grades_today(self.best, self.profile, today_of(self.round).forecast)
 
     @cached_property
     def today_m(self) -> Mapping[str, float]:
         """Expected lengths today of fruit that were measured on an earlier day, metres."""
-        return lengths_today(today_of(self.round).forecast)
+        return forecasting.lengths_today(today_of(self.round).forecast)
 
     @property
     def ready(self) -> Ready | None:
@@ -185,63 +168,76 @@ class RoundView:
     @cached_property
     def forecast(self) -> Forecast:
         """The forecast from today on."""
-        return forecast_today(store(), self.round, self.profile, time.time(), self.content)
+        return forecasting.forecast_today(
+            store(), self.round, self.profile, time.time(), self.content
+        )
 
-    def counts(self, fruit: Iterable[FruitRow]) -> Counter[str]:
+    @cached_property
+    def harvests(self) -> Picked:
+        """What was picked in its house by day."""
+        return harvests(store(), rounds_of_house(store(), self.key))
+
+    @cached_property
+    def compared(self) -> Sequence[Compared]:
+        """How far forecasts of its house were from what was picked."""
+        walks = rounds_of_house(store(), self.key)
+        return compare_harvests(store(), walks, self.profile, self.harvests, date.today())
+
+    def counts(self, fruit: Iterable[records.FruitRow]) -> Counter[str]:
         """Return how many of these fruit are in each class today, by the labels of the classes."""
         return Counter(self.grades[view.key].label for view in fruit)
 
 
 @_cached()
-def view_of(round_summary: Round) -> RoundView:
+def view_of(round_summary: records.Round) -> RoundView:
     """Return a round with its stops and views; read again only after a change."""
     content = read_round(store(), round_summary.key)
     return RoundView(round_summary, content, profile_of(round_summary)[1])
 
 
 @_cached(max_entries=_DAYS, ttl=3600)
-def class_counts_of(round_summary: Round) -> Counter[str]:
+def class_counts_of(round_summary: records.Round) -> Counter[str]:
     """Return how many fruit of each class a round shows, those that were picked since as well."""
     walk = view_of(round_summary)
     return class_counts((fruit for fruit in walk.fruit if not fruit.doubtful), walk.profile)
 
 
-def class_counts(fruit: Iterable[FruitRow], profile: CropProfile) -> Counter[str]:
+def class_counts(fruit: Iterable[records.FruitRow], profile: CropProfile) -> Counter[str]:
     """Return how many fruit were in each class by a profile when they were measured."""
     return Counter(grade(view, profile).label for view in fruit)
 
 
 @_cached()
-def comparison_of(earlier: Round, later: Round) -> DayComparison:
+def comparison_of(earlier: records.Round, later: records.Round) -> day_comparison.DayComparison:
     """Return what changed between two rounds of a house; computed again only after a change."""
     contents = [view_of(x).content for x in (earlier, later)]
-    return compare_rounds(
+    return day_comparison.compare_rounds(
         fruit_table(contents[0]),
         fruit_table(contents[1]),
-        same_fruit(store(), *contents),
+        day_comparison.same_fruit(store(), *contents),
         (contents[0].stops, contents[1].stops),
         (later.walked_s - earlier.walked_s) / DAY_S,
     )
 
 
 @_cached()
-def fruit_days_of(round_summary: Round, fruit_key: str) -> list[FruitRow]:
+def fruit_days_of(round_summary: records.Round, fruit_key: str) -> list[records.FruitRow]:
     """Return a fruit of a round, or of one before it, on every day, the earliest first."""
     content = view_of(round_summary).content
     if fruit_key not in content.group_of:
         content = read_round(store(), store().detection(fruit_key).view.round_key)
-    return fruit_days(store(), content, fruit_key)
+    return day_comparison.fruit_days(store(), content, fruit_key)
 
 
-@_cached(ttl=3600, hash_funcs={Round: _unpicked_version})
-def today_of(round_summary: Round) -> Today:
+@_cached(ttl=3600, hash_funcs={records.Round: _unpicked_version})
+def today_of(round_summary: records.Round) -> forecasting.Today:
     """Return a round's figures of today, including the fruit that were picked today."""
     walk = view_of(round_summary)
-    return read_today(store(), round_summary, walk.profile, time.time(), walk.content)
+    return forecasting.read_today(store(), round_summary, walk.profile, time.time(), walk.content)
 
 
 @_cached(max_entries=6, ttl=None, hash_funcs=_OF_PICTURE)
-def capture_of(stop: StopRecord, taken: CaptureRecord) -> Capture:
+def capture_of(stop: records.StopRecord, taken: records.CaptureRecord) -> Capture:
     """Return a capture of a stop with its pictures; the last ones are held."""
     return stored_capture(store().images, taken, stop)
 
@@ -252,7 +248,7 @@ def _widths_px(stop_key: str) -> dict[str, int]:
 
 
 @_cached(max_entries=400, ttl=None, hash_funcs=_OF_FRUIT)
-def thumbnail_of(view: FruitRow) -> str | None:
+def thumbnail_of(view: records.FruitRow) -> str | None:
     """Return a fruit's thumbnail as a data URL; None where none was kept."""
     if view.thumbnail is None:
         return None
@@ -261,7 +257,7 @@ def thumbnail_of(view: FruitRow) -> str | None:
 
 
 @_cached(max_entries=400, ttl=None, hash_funcs=_OF_FRUIT)
-def cutout_of(view: FruitRow) -> str | None:
+def cutout_of(view: records.FruitRow) -> str | None:
     """Return a fruit cut out of its picture as a data URL; None where none was kept."""
     captures = store().stop(view.stop_key).captures
     taken = next(capture for capture in captures if capture.name == view.capture)
@@ -280,7 +276,7 @@ def read_ahead() -> None:
         today_of(round_summary)
 
 
-def doubtful(views: Sequence[FruitRow]) -> list[FruitRow]:
+def doubtful(views: Sequence[records.FruitRow]) -> list[records.FruitRow]:
     """Return unjudged fruit with a single view of low confidence."""
     return [
         view

@@ -10,13 +10,14 @@ from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager, suppress
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 from urllib.parse import quote
 
 import streamlit as st
 from pydantic import Field
 from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
+from starlette.requests import Request
 from starlette.responses import HTMLResponse, Response
 from starlette.routing import Route
 
@@ -32,9 +33,6 @@ from cucumbervision_greenhouse.exports.build import RoundTables, round_tables
 from cucumbervision_greenhouse.exports.writers import render_sheet, write_exports
 from cucumbervision_greenhouse.language import sentence
 from cucumbervision_greenhouse.uploads import Sending
-
-if TYPE_CHECKING:
-    from starlette.requests import Request
 
 
 class UploadPart(Sent):

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainSerializer, PlainValidator
 
 from cucumbervision.capture.camera_file import CameraModel
-from cucumbervision.capture.frames import Stop
+from cucumbervision.capture.frames import LONGEST_ROW_M, Stop
 from cucumbervision.capture.intrinsics import Intrinsics, Stream
 from cucumbervision.capture.pictures import COLOR_SUFFIXES, read_color
 from cucumbervision.capture.uploads import Limits, accept_uploads
@@ -36,7 +36,7 @@ from cucumbervision_greenhouse.rounds.walking import (
     round_for_capture,
 )
 from cucumbervision_greenhouse.settings import replace_text
-from cucumbervision_greenhouse.store.records import LONGEST_ROW_M, key_of
+from cucumbervision_greenhouse.store.records import key_of
 
 if TYPE_CHECKING:
     from cucumbervision.capture.frames import Capture
@@ -314,7 +314,7 @@ def _kept(capture: Capture, round_key: str, waiting: WaitingCaptures, store: Sto
     if capture.stop.step is None:
         step = last_step([*store.stops(home), *(other.stop for other in queued)]) + 1
         capture = replace(capture, stop=replace(capture.stop, step=step))
-    item = RoundCapture.to_add(store, home, capture, keep=True)
+    item = RoundCapture.to_add(store, home, capture)
     if item.is_deleted:
         raise UploadError("was deleted: undo that to have it back")
     if item.is_deleted is not None or waiting.holds(item.stop.key):

@@ -114,6 +114,7 @@ _ACTIONS = {
     "clear": marked("no longer accepted, nor marked as no fruit"),
     "pick": marked("picked"),
     "unpick": marked("not picked"),
+    "harvest": marked("the harvest"),
     "correct": marked("the new outline"),
     "add": marked("the fruit that was added"),
     "merge": marked("same fruit"),

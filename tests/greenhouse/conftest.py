@@ -19,10 +19,9 @@ import pytest
 
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.source import example_captures
-from cucumbervision.run.batch import in_turn
 from cucumbervision.run.measurer import Measurer
 from cucumbervision.run.options import MeasureOptions
-from cucumbervision_greenhouse.rounds.adding import Added, RoundCapture, add_all, add_captures
+from cucumbervision_greenhouse.rounds.adding import Added, Place, add_captures, save_measured
 from cucumbervision_greenhouse.store.records import Round, StopRecord, key_of, new_key
 from cucumbervision_greenhouse.store.repository import Store, open_store
 
@@ -42,11 +41,19 @@ def add_one(
     store: Store, round_key: str, capture: Capture, options: MeasureOptions, key: str = ""
 ) -> Added:
     """Measure a capture as the dashboard does what waits, and save it under a key of its own."""
-    measurer = Measurer(options)
-    key = key or new_key()
-    item = RoundCapture.to_add(store, round_key, capture, key=key, keep=True)
-    [(_, added)] = add_all(store, [item], measurer, in_turn)
-    return added
+    measurer, stop = Measurer(options), Place().stop(capture, key or new_key(), round_key)
+    return save_measured(store, stop, measurer.attempt(capture), measurer)
+
+
+def whole_stop(store: Store, key: str) -> StopRecord:
+    """Return a stop with its fruit, to save it again."""
+    stop = store.stop(key)
+    fruit = store.detections(stop.round_key, key, shapes=True)
+    captures = (
+        replace(taken, fruit=tuple(row for row in fruit if row.capture == taken.name))
+        for taken in stop.captures
+    )
+    return replace(stop, captures=tuple(captures), fruit=0)
 
 
 @pytest.fixture

@@ -25,7 +25,7 @@ def test_what_waits_is_counted_by_round_whatever_it_came_in() -> None:
     queue = [waits(1, OWN), waits(2, OTHER), waits(3, OWN), waits(4, OTHER), waits(5, OTHER)]
     measured = {str(k): OWN for k in range(4)} | {str(k): OTHER for k in range(4, 9)}
     found = progress_of(OWN, queue, [], measured)
-    assert found.words == "Measuring: 4 of 6 captures; 3 of other rounds wait too"
+    assert found.words == "Measuring: 4 of 6 captures; 3 captures of other rounds wait"
     assert (found.waiting, found.done, found.total) == (2, 4, 6)
 
 
@@ -63,9 +63,9 @@ def test_a_queue_is_counted_on_while_captures_come(store: Store, tmp_path: Path)
     options, measurer = MeasureOptions(instances="auto"), SharedMeasurer(load_registry())
     assert measure_waiting(queue, measurer, store, lambda: options, print, job) == 5
     assert said == [
-        "Measuring: 1 of 2 captures; 2 of other rounds wait too",
-        "Measuring: 1 of 3 captures; 1 of other rounds waits too",
-        "Measuring: 2 of 3 captures; 1 of other rounds waits too",
+        "Measuring: 1 of 2 captures; 2 captures of other rounds wait",
+        "Measuring: 1 of 3 captures; 1 capture of other rounds waits",
+        "Measuring: 2 of 3 captures; 1 capture of other rounds waits",
         "Measuring: 2 of 3 captures",
         "",
     ]

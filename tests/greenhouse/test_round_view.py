@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.greenhouse.conftest import whole_stop
 
 pytest.importorskip("streamlit")
 
@@ -63,7 +64,7 @@ def stop_of(
     store: Store, row: str | None, number: int, fruit: list[FruitRow], days_ago: int = 0
 ) -> StopRecord:
     """A stop of the bundled captures with other fruit."""
-    template = store.stop(store.stops(WALK)[0].key)
+    template = whole_stop(store, store.stops(WALK)[0].key)
     like = template.captures[0].fruit[0]
     shown = tuple(
         like.with_(
@@ -120,7 +121,7 @@ def day(store: Store, request: pytest.FixtureRequest) -> str:
     store.set_verdict([by_cm[DELETED]], Verdict.REJECTED)
     store.pick([by_cm[PICKED]])
     # One that somebody added, and that looks like none.
-    stop = store.stop(key_of("counts", "2", 14))
+    stop = whole_stop(store, key_of("counts", "2", 14))
     found = stop.captures[0].fruit[0].with_(fruit=2, flags="doubtful")
     store.add_fruit(stop.key, stop.captures[0].name, found)
     store.set_verdict([by_cm[ADDED]], Verdict.REJECTED)
@@ -184,8 +185,8 @@ def test_what_is_ready_is_one_number_on_all_pages_and_in_all_files(
     assert work["Fruit"].split(" ")[0] == words
 
     files = tables_of(store)
-    summary, work_line = files.summary, files["work"].rows[0]
-    of_fruit = [x for x in files["fruit"].rows if x["picked_utc"] is None and x["ready_today"]]
+    summary, work_line = files.summary, files["work"][0]
+    of_fruit = [x for x in files["fruit"] if x["picked_utc"] is None and x["ready_today"]]
     assert sum(float(str(x["ready_today"])) for x in of_fruit) == expected
     assert [summary["ready_today"], work_line["fruit"], work_line["ready"]] == [expected] * 3
     for line in (summary, work_line):
@@ -193,11 +194,11 @@ def test_what_is_ready_is_one_number_on_all_pages_and_in_all_files(
     for scope in ("house", "row"):
         found = [
             float(str(x["expected"]))
-            for x in files["forecast"].rows
+            for x in files["forecast"]
             if (x["scope"], x["day"], x["class"]) == (scope, 0, "I")
         ]
         assert sum(found) == expected
-    kinds = Counter(str(line["kind"]) for line in files["picks"].rows)
+    kinds = Counter(str(line["kind"]) for line in files["picks"])
     assert (kinds["ready"], kinds["may be ready"]) == (ready.sure, ready.may_be)
     write_exports(files, tmp_path, [ExportFormat.CSV, ExportFormat.XLSX, ExportFormat.HTML])
     with (tmp_path / "picks.csv").open(encoding="utf-8") as file:
@@ -237,17 +238,17 @@ def test_every_file_says_the_same_numbers(store: Store, day: str, tmp_path: Path
     summary = tables.summary
     ready = (summary["surely_ready"], summary["may_be_ready"], summary["picked"])
     assert ready == (HANGS["class I"], MAY_BE_READY, 1)
-    in_rows = sum(int(str(line["fruit"])) for line in tables["rows"].rows)
+    in_rows = sum(int(str(line["fruit"])) for line in tables["rows"])
     assert summary["fruit"] == sum(HANGS.values()) + 2 == in_rows
     classes = {name.removeprefix("class "): count for name, count in HANGS.items()}
-    assert tables["work"].rows[0]["crates"] == 1
+    assert tables["work"][0]["crates"] == 1
     counted = [
         str(line["grade"])
-        for line in tables["fruit"].rows
+        for line in tables["fruit"]
         if line["picked_utc"] is None and "doubtful" not in str(line["flags"])
     ]
     assert Counter(counted) == classes
-    kinds = Counter(str(line["kind"]) for line in tables["picks"].rows)
+    kinds = Counter(str(line["kind"]) for line in tables["picks"])
     assert kinds == {"ready": 4, "may be ready": MAY_BE_READY, "too long": 1}
     assert sum(count for *_, count in tables.bins) == 12
     write_exports(tables, tmp_path, [ExportFormat.CSV, ExportFormat.JSON, ExportFormat.HTML])
@@ -264,7 +265,7 @@ def test_a_lower_bound_is_at_least_beside_the_lengths_by_hand_and_has_no_upper_e
 ) -> None:
     lines = [line for shown in lists_of(page("accuracy"), "handlist") for line in shown["lines"]]
     assert "at least 26.0 cm" in [line["program"] for line in lines]
-    [part] = [line for line in tables_of(store)["fruit"].rows if line["at_least"]]
+    [part] = [line for line in tables_of(store)["fruit"] if line["at_least"]]
     assert (part["interval_low_cm"], part["interval_high_cm"]) == (23.0, None)
 
 

@@ -6,9 +6,10 @@ import csv
 import hashlib
 import io
 import re
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import zip_longest
-from typing import TYPE_CHECKING
+from pathlib import Path
 from unicodedata import normalize
 
 import numpy as np
@@ -16,10 +17,6 @@ import numpy as np
 from cucumbervision.errors import CucumberVisionError, TruthError, as_errors_of, wrap_reader_errors
 from cucumbervision.files import read_text
 from cucumbervision.methods.result import LengthDefinition
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-    from pathlib import Path
 
 _SEPARATORS = (",", ";", "\t")
 _MOST_COLUMNS = 1000

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any
+from typing import Any, Self
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from cucumbervision.arrays import Array, Array32, Mask, Numbers, Pixels
 from cucumbervision.capture.intrinsics import Intrinsics, check_intrinsics, is_off_centre
 from cucumbervision.capture.pictures import depth_to_metres
 from cucumbervision.capture.pictures import valid_depth as valid_depth
@@ -15,13 +18,7 @@ from cucumbervision.errors import CaptureError, DepthError
 from cucumbervision.names import checked_name
 from cucumbervision.tube.shape import robust_plane
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from typing import Self
-
-    from numpy.typing import ArrayLike
-
-    from cucumbervision.arrays import Array, Array32, Mask, Numbers, Pixels
+LONGEST_ROW_M = 1000.0
 
 
 class Doubt(StrEnum):
@@ -42,16 +39,22 @@ class Stop:
     step: int | None = None
 
     def __post_init__(self) -> None:
-        """Check its names.
+        """Check its names and position.
 
         Raises
         ------
         NameRefusedError
             If the row or the side is not a valid name.
+        CaptureError
+            If the position is farther than any row is long.
         """
         for what, name in (("row", self.row), ("side", self.side)):
             if name is not None:
                 object.__setattr__(self, what, checked_name(name, what))
+        if self.position_m is not None and not abs(self.position_m) <= LONGEST_ROW_M:
+            remedy = "correct the position along the row"
+            fault = "no row is as long as {position:g} m"
+            raise CaptureError(fault, remedy=remedy, position=self.position_m)
 
 
 @dataclass(frozen=True, eq=False)

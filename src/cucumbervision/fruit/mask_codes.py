@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from cucumbervision.arrays import Array, Mask
+from cucumbervision.arrays import Array, Mask
 
 
 def decode_rle(counts: str | bytes | Sequence[int], height: int, width: int) -> Mask:

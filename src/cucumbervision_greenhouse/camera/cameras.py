@@ -13,15 +13,17 @@ import shutil
 import tempfile
 import threading
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
 import streamlit as st
+from numpy.typing import NDArray
 
 from cucumbervision.capture.camera import DepthQuality, depth_quality
-from cucumbervision.capture.frames import fuse_burst, moved_px
+from cucumbervision.capture.frames import Capture, fuse_burst, moved_px
 from cucumbervision.capture.readers import RECORDING_SUFFIXES, CaptureRef, ReadOptions, open_source
 from cucumbervision.capture.realsense import CameraConfig, CameraSettings, RealSenseCamera
 from cucumbervision.capture.source import example_captures
@@ -29,13 +31,6 @@ from cucumbervision.errors import CameraError, CucumberVisionError, DepthError, 
 from cucumbervision_greenhouse.resources import settings, where
 from cucumbervision_greenhouse.settings import REPLAY_VARIABLE
 from cucumbervision_greenhouse.store.waiting import waiting_folder
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import NDArray
-
-    from cucumbervision.capture.frames import Capture
 
 REACH_S = 0.15  # largest distance in time of a burst's frames from its press
 FAR_S = 1.0  # a picture farther in time from a press shows another place

@@ -9,35 +9,33 @@ from __future__ import annotations
 import json
 import struct
 import time
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import asdict
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 from urllib.parse import quote
 
 import streamlit as st
 from pydantic import Field, model_validator
 from starlette.exceptions import HTTPException
+from starlette.requests import Request
 from starlette.responses import FileResponse, Response
 from starlette.routing import Route
 
-from cucumbervision.capture.frames import Stop
+from cucumbervision.capture.frames import Capture, Stop
 from cucumbervision.crop.grades import grade
-from cucumbervision.errors import CucumberVisionError, Message, NameRefusedError, StoreError
+from cucumbervision.errors import CucumberVisionError, Message, StoreError
 from cucumbervision.names import LONGEST_NAME
 from cucumbervision.run.overlay import as_jpeg
-from cucumbervision_greenhouse import resources, round_view, tasks
+from cucumbervision_greenhouse import fruit_pictures, resources, round_view, tasks
+from cucumbervision_greenhouse import words as texts
 from cucumbervision_greenhouse.answers import Key, Sent, answer, store_of
 from cucumbervision_greenhouse.camera import cameras
-from cucumbervision_greenhouse.camera.shutter import Shutter
-from cucumbervision_greenhouse.fruit_pictures import (
-    PICTURE_FILES,
-    depth_picture,
-    mask_outline,
-    scale_bar,
-    stop_layers,
-)
+from cucumbervision_greenhouse.camera.cameras import Preview
+from cucumbervision_greenhouse.camera.shutter import Pressed, Shutter
+from cucumbervision_greenhouse.jobs import Job
 from cucumbervision_greenhouse.language import (
     ask_for,
     counted,
@@ -49,30 +47,9 @@ from cucumbervision_greenhouse.language import (
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.rounds.walking import DEMONSTRATION, next_place, sides_of
 from cucumbervision_greenhouse.store.marks import TAKE_BACK
-from cucumbervision_greenhouse.store.records import LONGEST_ROW_M, Round, Verdict
+from cucumbervision_greenhouse.store.records import LogEntry, Round, StopRecord, Verdict
+from cucumbervision_greenhouse.store.repository import Store
 from cucumbervision_greenhouse.theme import style_sheet
-from cucumbervision_greenhouse.words import (
-    action_words,
-    added_words,
-    grade_words,
-    length_words,
-    position_words,
-    round_name,
-    stop_name,
-    taken_back,
-)
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from starlette.requests import Request
-
-    from cucumbervision.capture.frames import Capture
-    from cucumbervision_greenhouse.camera.cameras import Preview
-    from cucumbervision_greenhouse.camera.shutter import Pressed
-    from cucumbervision_greenhouse.jobs import Job
-    from cucumbervision_greenhouse.store.records import LogEntry, StopRecord
-    from cucumbervision_greenhouse.store.repository import Store
 
 SentT = TypeVar("SentT", bound=Sent)
 
@@ -190,7 +167,7 @@ def walk(store: Store, round_key: str, source: str) -> dict[str, Any]:
     return {
         "now_s": time.time(),
         "zone_s": time.localtime().tm_gmtoff,
-        "rounds": [{"key": x.key, "name": round_name(x)} for x in rounds],
+        "rounds": [{"key": x.key, "name": texts.round_name(x)} for x in rounds],
         "houses": resources.houses(rounds),
         "round": opened,
         "missing": bool(round_key) and round_summary is None,
@@ -218,11 +195,11 @@ def walk(store: Store, round_key: str, source: str) -> dict[str, Any]:
         if aside
         else tasks.measuring_fault(),
         "last": _last_stop(round_summary, last) if round_summary and last else None,
-        "done": action and {"at_s": action.at_s, "words": action_words(action)},
+        "done": action and {"at_s": action.at_s, "words": texts.action_words(action)},
     }
 
 
-def _rows(stops: Sequence[Stop | StopRecord]) -> dict[str, dict[str, Any]]:
+def _rows(stops: Sequence[Stop]) -> dict[str, dict[str, Any]]:
     """Return where the walk of each row goes on, by the rows' names."""
     rows = dict.fromkeys(stop.row or "" for stop in stops)
     return {row: asdict(next_place([x for x in stops if (x.row or "") == row])) for row in rows}
@@ -234,8 +211,8 @@ def _last_stop(round_summary: Round, last: StopRecord) -> dict[str, Any]:
     record, profile = store.stop(last.key), resources.profile_of(round_summary)[1]
     views = [
         view
-        for view in store.detections(last.round_key)
-        if view.stop_key == last.key and view.verdict is not Verdict.REJECTED
+        for view in store.detections(last.round_key, last.key, shapes=True)
+        if view.verdict is not Verdict.REJECTED
     ]
     grades = {view.key: grade(view, profile) for view in views}
     names = {key: graded.label for key, graded in grades.items()}
@@ -247,13 +224,13 @@ def _last_stop(round_summary: Round, last: StopRecord) -> dict[str, Any]:
                 "name": taken.name,
                 "picture": f"/api/picture/{last.key}/{quote(taken.name)}",
                 "size": [taken.width_px, taken.height_px],
-                "layers": stop_layers(taken, capture_views, names, units),
+                "layers": fruit_pictures.stop_layers(taken, capture_views, names, units),
                 "fruit": [
                     {
                         "key": view.key,
                         "number": view.fruit,
-                        "length": length_words(view, units),
-                        "class": grade_words(grades[view.key]),
+                        "length": texts.length_words(view, units),
+                        "class": texts.grade_words(grades[view.key]),
                     }
                     for view in capture_views
                 ],
@@ -264,7 +241,7 @@ def _last_stop(round_summary: Round, last: StopRecord) -> dict[str, Any]:
     return {
         "key": last.key,
         "round": last.round_key,
-        "name": stop_name(last, units),
+        "name": texts.stop_name(last, units),
         "fault": fault,
         "captures": captures,
     }
@@ -287,10 +264,8 @@ def _pressed(sent: SentPress, open_rounds: set[str]) -> Pressed | str | None:
     """Press the shutter; return the reason instead where a press is refused."""
     try:
         stop = Stop(sent.row.strip() or None, sent.side or None, sent.position_m)
-    except NameRefusedError as error:
+    except CucumberVisionError as error:
         return words_of(error)
-    if sent.position_m > LONGEST_ROW_M:
-        return _("no row is as long as this position: correct it and press again")
     if sent.round not in open_rounds:
         return _("the round was deleted")
     feed, burst = cameras.feed(sent.source), resources.settings().burst
@@ -298,9 +273,7 @@ def _pressed(sent: SentPress, open_rounds: set[str]) -> Pressed | str | None:
 
 
 def _begin(store: Store, sent: SentRound) -> dict[str, Any]:
-    # What an empty field shows is its name.
-    name, house = sent.name.strip() or _("Morning round"), sent.house.strip() or _("House 1")
-    record = Round(name=name, house=house, profile=resources.settings().profile)
+    record = resources.new_round(sent.name, sent.house)
     store.save_round(record)
     return {"round": record.key}
 
@@ -325,15 +298,15 @@ def _outcome(pressed: Pressed | str | None, patience_s: float) -> dict[str, Any]
         state = "refused" if pressed.is_lost else "waiting"
         return {"state": state, "words": pressed.error, "lost": pressed.is_lost}
     units = resources.settings().units
-    words = _("{stop}: saved").format(stop=stop_name(queued.stop, units))
+    words = _("{stop}: saved").format(stop=texts.stop_name(queued.stop, units))
     if queued.stop.position_m != pressed.stop.position_m:
         taken = _("Another stop is already at {position}")
-        words += f". {taken.format(position=position_words(pressed.stop.position_m, units))}"
+        words += f". {taken.format(position=texts.position_words(pressed.stop.position_m, units))}"
     where = {"stop": queued.key, "home": queued.round_key, "place": _place(queued.stop)}
     return {"state": "saved", "words": words, **where}
 
 
-def _place(stop: Stop | StopRecord) -> dict[str, Any]:
+def _place(stop: Stop) -> dict[str, Any]:
     return {"row": stop.row or "", "side": stop.side or "", "position_m": stop.position_m}
 
 
@@ -353,7 +326,7 @@ def _take_back(store: Store, asked: SentUndo) -> dict[str, Any]:
     action = _last_action(store, home)
     if action is not None and action.at_s > (asked.at_s or pressed_s):
         tasks.undo(store, home, number=action.number)
-        return {"words": taken_back(action), "action": action.number}
+        return {"words": texts.taken_back(action), "action": action.number}
     if asked.stop is None:
         raise StoreError("nothing to undo", remedy="delete a stop on the row map")
     return {"words": _delete_stop(store, asked.stop)}
@@ -380,7 +353,9 @@ def _delete_stop(store: Store, key: str) -> str:
     waiting = next((x for x in resources.waiting().captures() if x.key == key), None)
     if waiting is not None and not waiting.tries:
         resources.waiting().done(waiting)
-        return _("{stop}: deleted").format(stop=stop_name(waiting.stop, resources.settings().units))
+        return _("{stop}: deleted").format(
+            stop=texts.stop_name(waiting.stop, resources.settings().units)
+        )
     until = time.monotonic() + _UNDO_S
     while resources.waiting().holds(key):  # it is being measured
         if time.monotonic() > until:
@@ -406,7 +381,7 @@ def _outline(_store: Store, asked: SentFruit) -> dict[str, Any]:
         record.round_key,
         lambda _: measurer.draft_of(capture, asked.point, asked.box),
     )
-    return {"outline": mask_outline(mask)}
+    return {"outline": fruit_pictures.mask_outline(mask)}
 
 
 def _prepare(_store: Store, asked: SentPicture) -> dict[str, Any]:
@@ -442,7 +417,7 @@ def _add_fruit(store: Store, asked: SentFruit) -> dict[str, Any]:
         return measurer.add(store, record, capture, mask, options)
 
     key = _work(marked("Measuring the fruit"), record.round_key, work)
-    return {"words": added_words(doubtful=store.detection(key).view.doubtful)}
+    return {"words": texts.added_words(doubtful=store.detection(key).view.doubtful)}
 
 
 def _correct_fruit(store: Store, asked: SentFruit, key: str) -> dict[str, Any]:
@@ -517,8 +492,8 @@ async def _static(request: Request) -> Response:
     if name == "theme.css":
         return Response(style_sheet(), media_type="text/css", headers={"cache-control": "no-cache"})
     shared = name.startswith("picture.")
-    path = (PICTURE_FILES if shared else _STATIC) / name
-    if path.parent not in {PICTURE_FILES, _STATIC} or not path.is_file():
+    path = (fruit_pictures.PICTURE_FILES if shared else _STATIC) / name
+    if path.parent not in {fruit_pictures.PICTURE_FILES, _STATIC} or not path.is_file():
         raise HTTPException(404)
     # A service worker must lie at or above the address of the page that it caches.
     return _file(request, path, {"service-worker-allowed": "/capture"})
@@ -599,7 +574,7 @@ def encoded(preview: Preview, _language: str = "en") -> bytes:
         return _framed(header)
     color = as_jpeg(capture.color, _PREVIEW_PX)
     units = resources.settings().units
-    depth, words = depth_picture(capture.depth_m[::2, ::2], units)
+    depth, words = fruit_pictures.depth_picture(capture.depth_m[::2, ::2], units)
     distance_m = None if quality is None else quality.distance_m
     header |= {
         "color_bytes": len(color),
@@ -607,7 +582,7 @@ def encoded(preview: Preview, _language: str = "en") -> bytes:
         "name": capture.name,
         "simulated": capture.simulated,
         "depth": words,
-        "bar": scale_bar(capture.intrinsics, distance_m, units),
+        "bar": fruit_pictures.scale_bar(capture.intrinsics, distance_m, units),
     }
     if quality is not None:
         header["quality"] = {

@@ -5,23 +5,17 @@ from __future__ import annotations
 import threading
 import time
 from collections import OrderedDict
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
-from cucumbervision_greenhouse.camera.cameras import PictureGoneError
+from cucumbervision.capture.frames import Stop
+from cucumbervision_greenhouse.camera.cameras import Feed, FolderFeed, PictureGoneError
 from cucumbervision_greenhouse.jobs import fault_of
 from cucumbervision_greenhouse.rounds.walking import last_step, round_for_capture, unless_taken
 from cucumbervision_greenhouse.store.records import key_of
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from cucumbervision.capture.frames import Stop
-    from cucumbervision_greenhouse.camera.cameras import Feed, FolderFeed
-    from cucumbervision_greenhouse.store.records import StopRecord
-    from cucumbervision_greenhouse.store.repository import Store
-    from cucumbervision_greenhouse.store.waiting import Waiting, WaitingCaptures
+from cucumbervision_greenhouse.store.repository import Store
+from cucumbervision_greenhouse.store.waiting import Waiting, WaitingCaptures
 
 _REMEMBERED = 2000  # presses that are remembered, since a browser may send them again
 
@@ -129,7 +123,7 @@ class Shutter:
         capture = feed.grab(burst, at_s)
         home = round_for_capture(self._store, round_key, simulated=capture.simulated)
         waiting = [queued.stop for queued in self._waiting.captures() if queued.round_key == home]
-        taken: list[Stop | StopRecord] = [*self._store.stops(home), *waiting]
+        taken: list[Stop] = [*self._store.stops(home), *waiting]
         stop = replace(unless_taken(stop, taken), step=last_step(taken) + 1)
         capture = replace(capture, stop=stop, timestamp_s=at_s)
         queued = self._waiting.put(capture, key, home, at_s)

@@ -91,8 +91,7 @@ def add(
     row: Annotated[str | None, typer.Option(help="Row of the house.")] = None,
     side: Annotated[str | None, typer.Option(help="Side of the row, such as left.")] = None,
     position: Annotated[
-        float | None,
-        typer.Option(max=1000.0, help="Position of the first capture along the row, metres."),
+        float | None, typer.Option(help="Position of the first capture along the row, metres.")
     ] = None,
     spacing: Annotated[
         float,
@@ -216,10 +215,12 @@ def remeasure(
 def merge(store: StoreName = "house.db", round_: RoundName = "") -> None:
     """Merge views of the same fruit from several stops; manual decisions are kept."""
     from cucumbervision.cli.console import columns_table, screen
-    from cucumbervision_greenhouse.rounds.merge_and_link import merge_round
+    from cucumbervision_greenhouse.rounds.fruit_table import read_round
+    from cucumbervision_greenhouse.rounds.merge_and_link import merge_round, row_counts
 
     with opened_round(store, round_) as (opened, round_summary):
-        rows = merge_round(opened, round_summary.key)
+        mirrored = merge_round(opened, round_summary.key)
+        rows = row_counts(read_round(opened, round_summary.key))
     right = ("stops", "views", "fruit", "stops known to")
     table = columns_table("Merged rows", ("row",), *right)
     for row in rows:
@@ -232,7 +233,7 @@ def merge(store: StoreName = "house.db", round_: RoundName = "") -> None:
         name = f"row {row.row}"
         if row.unplaced:
             console.print(f"{name}: {row.unplaced} fruit without position or depth are not merged")
-        for side in row.mirrored:
+        for side in mirrored.get(row.row, ()):
             words = "add its captures to a new round with --higher-to"
             console.print(f"{name}, side {side}: positions seem to be reversed; {words}")
 

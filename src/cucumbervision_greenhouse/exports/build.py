@@ -6,44 +6,32 @@ import hashlib
 import math
 import time
 from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from cucumbervision._version import __version__
 from cucumbervision.about import LICENCE, source_offer
+from cucumbervision.crop.grades import Grade
+from cucumbervision.crop.profiles import CropProfile
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.methods.flags import flag_remarks
-from cucumbervision.run.fields import FIELDS, Field, read_fields, utc
-from cucumbervision_greenhouse.forecast.picking import Ready, pick_list, plan_work, ready_on
-from cucumbervision_greenhouse.rounds.forecasting import (
-    date_after,
-    day_0_s,
-    forecast_today,
-    grades_today,
-    lengths_today,
-)
+from cucumbervision.run.fields import FIELDS, Cell, Field, read_fields, utc
+from cucumbervision_greenhouse.forecast.forecast import Counts, Forecast
+from cucumbervision_greenhouse.forecast.picking import Rates, Ready, pick_list, plan_work, ready_on
+from cucumbervision_greenhouse.rounds import forecasting
 from cucumbervision_greenhouse.rounds.fruit_table import (
+    RoundContent,
     fruit_table,
     hanging_lengths_m,
     read_round,
     round_figures,
 )
 from cucumbervision_greenhouse.rounds.merge_and_link import DAY_S, row_counts
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
-
-    from cucumbervision.crop.grades import Grade
-    from cucumbervision.crop.profiles import CropProfile
-    from cucumbervision.run.fields import Cell
-    from cucumbervision_greenhouse.forecast.forecast import Counts, Forecast
-    from cucumbervision_greenhouse.forecast.picking import Rates
-    from cucumbervision_greenhouse.rounds.fruit_table import RoundContent
-    from cucumbervision_greenhouse.store.records import ArtifactRecord, FruitRow, Round, StopRecord
-    from cucumbervision_greenhouse.store.repository import Store
-
+from cucumbervision_greenhouse.store.records import ArtifactRecord, FruitRow, Round, StopRecord
+from cucumbervision_greenhouse.store.repository import Store
 
 _BIN_CM = 2
 
@@ -91,14 +79,14 @@ def round_tables(
     now_s = time.time()
     forecast = None
     if profile is not None:
-        forecast = forecast_today(store, view, profile, now_s, content, days=days)
+        forecast = forecasting.forecast_today(store, view, profile, now_s, content, days=days)
     measured_with = {stop.key: stop.artifacts for stop in content.stops}
     called = profile_name or (profile.title if profile else view.profile)
     provenance = _provenance(measured_with.values(), profile, called, len(content.stops))
     hashes = {key: _hashes(used) for key, used in measured_with.items()}
     shapes = {x.key: x.shape for x in store.detections(round_key, shapes=True)}
-    today_s = day_0_s(view, now_s)
-    grades = {} if profile is None else grades_today(table, profile, forecast)
+    today_s = forecasting.day_0_s(view, now_s)
+    grades = {} if profile is None else forecasting.grades_today(table, profile, forecast)
     lines: dict[str, Iterable[Any]] = {
         "summary": [_summary(view, content, table, forecast, called)],
         "rows": row_counts(content),
@@ -118,9 +106,11 @@ def round_tables(
     }
     return RoundTables(
         title=view.name or view.key,
-        walked=date_after(view.walked_s, 0).isoformat(),
+        walked=forecasting.date_after(view.walked_s, 0).isoformat(),
         provenance=_about(view, provenance),
-        tables={name: ExportTable.of(name, table_lines) for name, table_lines in lines.items()},
+        tables={
+            name: [_cells(name, line) for line in of_table] for name, of_table in lines.items()
+        },
         fruit=tuple(
             (fruit.with_(**shapes.get(fruit.key, {})), grades.get(fruit.key)) for fruit in table
         ),
@@ -206,7 +196,7 @@ def _fruit_lines(
     if forecast is not None:
         ids = (state.fruit_id for state in forecast.fruit)
         ready = dict(zip(ids, forecast.ready().tolist(), strict=True))
-    today_m = lengths_today(forecast)
+    today_m = forecasting.lengths_today(forecast)
     for fruit in table:
         yield {
             **vars(fruit),
@@ -260,7 +250,7 @@ def _forecast_lines(forecast: Forecast, today_s: float) -> Iterator[Line]:
 
 
 def _pick_lines(forecast: Forecast, table: Sequence[FruitRow]) -> Iterator[Line]:
-    lines, today_m = {line.key: line for line in table}, lengths_today(forecast)
+    lines, today_m = {line.key: line for line in table}, forecasting.lengths_today(forecast)
     hanging = (pick for pick in pick_list(forecast) if not pick.fruit.picked)
     for order, pick in enumerate(hanging, 1):
         line = lines[pick.fruit.fruit_id]
@@ -278,7 +268,7 @@ def _work_lines(forecast: Forecast, today_s: float, rates: Rates | None) -> Iter
 
 
 def _dates(today_s: float, day: int) -> Line:
-    date = date_after(today_s, day).isoformat()
+    date = forecasting.date_after(today_s, day).isoformat()
     return {"date": date, "date_utc": utc(today_s + day * DAY_S)[:10]}
 
 
@@ -293,6 +283,12 @@ def _remarks(fruit: FruitRow) -> str:
         ),
     )
     return "; ".join(filter(None, parts))
+
+
+def _cells(table: str, line: Any) -> dict[str, Cell]:
+    """Return the cells of a table's line; an empty text becomes an empty cell."""
+    cells = {column.name: column.of(line) for column in COLUMNS[table]}
+    return {name: None if cell == "" else cell for name, cell in cells.items()}
 
 
 def _length_bins(lengths_cm: Sequence[float]) -> tuple[tuple[int, int, int], ...]:
@@ -312,37 +308,6 @@ def _length_bins(lengths_cm: Sequence[float]) -> tuple[tuple[int, int, int], ...
 
 
 @dataclass(frozen=True)
-class ExportTable:
-    """One table.
-
-    Parameters
-    ----------
-    name : str
-        Name of the file or sheet.
-    columns : tuple of Field
-        Columns.
-    rows : list of dict
-        Cells by column name.
-    """
-
-    name: str
-    columns: tuple[Field, ...]
-    rows: list[dict[str, Cell]]
-
-    @classmethod
-    def of(cls, name: str, lines: Iterable[Any]) -> ExportTable:
-        """Create one of the tables of `COLUMNS`; empty text becomes an empty cell."""
-        columns = COLUMNS[name]
-        rows = [{column.name: _cell(column, line) for column in columns} for line in lines]
-        return cls(name, columns, rows)
-
-
-def _cell(column: Field, line: Any) -> Cell:
-    cell = column.of(line)
-    return None if cell == "" else cell
-
-
-@dataclass(frozen=True)
 class RoundTables:
     """All tables of a round for export.
 
@@ -355,9 +320,9 @@ class RoundTables:
     provenance : mapping
         Software, source, time, key of the round, and hashes of configuration, models, calibration
         and profile, as JSON values.
-    tables : mapping of str to ExportTable
-        'summary' (one row), 'rows', 'fruit', 'stops', 'forecast', 'picks', 'work' and
-        'provenance', in this order.
+    tables : mapping of str to list of dict
+        Rows of 'summary' (one), 'rows', 'fruit', 'stops', 'forecast', 'picks', 'work' and
+        'provenance', in this order, with the cells of `COLUMNS`.
     fruit : tuple of (FruitRow, Grade or None)
         The fruit of the table of that name.
     crop : str
@@ -373,21 +338,21 @@ class RoundTables:
     title: str
     walked: str
     provenance: Mapping[str, Any]
-    tables: Mapping[str, ExportTable]
+    tables: Mapping[str, list[dict[str, Cell]]]
     fruit: tuple[tuple[FruitRow, Grade | None], ...] = ()
     crop: str = ""
     bins: tuple[tuple[int, int, int], ...] = ()
     note: str = ""
     stops: tuple[StopRecord, ...] = ()
 
-    def __getitem__(self, name: str) -> ExportTable:
-        """Return a table by its name."""
+    def __getitem__(self, name: str) -> list[dict[str, Cell]]:
+        """Return the rows of a table."""
         return self.tables[name]
 
     @property
     def summary(self) -> dict[str, Cell]:
         """The row of the summary."""
-        return self.tables["summary"].rows[0]
+        return self.tables["summary"][0]
 
 
 _STORED = {

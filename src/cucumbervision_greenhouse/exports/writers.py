@@ -3,31 +3,26 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable, Collection, Iterator, Sequence
 from datetime import date
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from cucumbervision.errors import MissingExtraError, wrap_os_errors
 from cucumbervision.files import write_csv, write_json
+from cucumbervision.run.fields import Cell
 from cucumbervision.run.tables import Workbook, write_parquet
 from cucumbervision_greenhouse import words as texts
 from cucumbervision_greenhouse.exports import ExportFormat
+from cucumbervision_greenhouse.exports.build import COLUMNS, RoundTables
 from cucumbervision_greenhouse.forecast.picking import PickKind
 from cucumbervision_greenhouse.language import day_month_words, language, marked, number_words
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.row_drawing import draw_rows
 from cucumbervision_greenhouse.settings import Units
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator, Sequence
-
-    from jinja2 import Template
-
-    from cucumbervision.run.fields import Cell
-    from cucumbervision_greenhouse.exports.build import ExportTable, RoundTables
-    from cucumbervision_greenhouse.store.records import FruitRow
+from cucumbervision_greenhouse.store.records import FruitRow
 
 _CENTIMETRES = Units()
 
@@ -83,8 +78,8 @@ def write_exports(
 def _write_csv(tables: RoundTables, out: Path) -> list[Path]:
     """Write each table as CSV (UTF-8, commas, decimal points) with escaped formulas."""
     paths = [out / f"{name}.csv" for name in tables.tables]
-    for path, table in zip(paths, tables.tables.values(), strict=True):
-        write_csv(path, [column.name for column in table.columns], table.rows)
+    for path, (name, rows) in zip(paths, tables.tables.items(), strict=True):
+        write_csv(path, [column.name for column in COLUMNS[name]], rows)
     return paths
 
 
@@ -92,8 +87,8 @@ def _write_json_round(tables: RoundTables, out: Path) -> list[Path]:
     """Write all tables as one JSON file with units and descriptions of the columns."""
     keys = ("name", "unit", "type", "says")
     columns = {
-        name: [{key: getattr(column, key) for key in keys} for column in table.columns]
-        for name, table in tables.tables.items()
+        name: [{key: getattr(column, key) for key in keys} for column in COLUMNS[name]]
+        for name in tables.tables
     }
     report = {
         "format": "cucumbervision-round",
@@ -101,7 +96,7 @@ def _write_json_round(tables: RoundTables, out: Path) -> list[Path]:
         **tables.provenance,
         "note": tables.note,
         "columns": columns,
-        "tables": {name: table.rows for name, table in tables.tables.items()},
+        "tables": tables.tables,
     }
     write_json(out / "round.json", report)
     return [out / "round.json"]
@@ -110,8 +105,8 @@ def _write_json_round(tables: RoundTables, out: Path) -> list[Path]:
 def _write_parquet(tables: RoundTables, out: Path) -> list[Path]:
     """Write each table as Parquet with units, descriptions and hashes as metadata."""
     paths = [out / f"{name}.parquet" for name in tables.tables]
-    for path, table in zip(paths, tables.tables.values(), strict=True):
-        write_parquet(path, table.columns, table.rows, tables.provenance)
+    for path, (name, rows) in zip(paths, tables.tables.items(), strict=True):
+        write_parquet(path, COLUMNS[name], rows, tables.provenance)
     return paths
 
 
@@ -139,25 +134,24 @@ def _write_workbook(tables: RoundTables, out: Path) -> list[Path]:
         )
         summary = book.sheet("Summary", (20, 26, 6, 66), pages_high=1)
         summary.set_portrait()
-        facts = tables["summary"]
+        facts = COLUMNS["summary"]
         book.lines(summary, [[tables.title], ("what", "value", "unit", "meaning")])
-        for line, column in enumerate(facts.columns, 2):
+        for line, column in enumerate(facts, 2):
             line_cells = (
                 column.title.split(" [")[0],
-                facts.rows[0][column.name],
+                tables.summary[column.name],
                 column.unit,
                 column.says,
             )
             for place, cell in enumerate(line_cells):
                 book.write(summary, line, place, cell, column if place == 1 else None)
-        book.lines(summary, _notes(tables), 3 + len(facts.columns))
+        book.lines(summary, _notes(tables), 3 + len(facts))
         for name, (title, frozen) in SHEETS.items():
-            table = tables[name]
-            book.table(title, table.columns, table.rows, frozen, _printed(table))
+            book.table(title, COLUMNS[name], tables[name], frozen, _printed(name))
         meaning = (
             (name, column.name, column.unit, column.says)
-            for name, table in tables.tables.items()
-            for column in table.columns
+            for name in tables.tables
+            for column in COLUMNS[name]
         )
         head = ("table", "column", "unit", "meaning")
         book.lines(book.sheet("Columns", (18, 18, 18, 70)), (head, *meaning))
@@ -173,9 +167,9 @@ def _notes(tables: RoundTables) -> Iterator[Sequence[Cell]]:
         yield f"{artifact['kind']} SHA-256", artifact["name"], "", artifact["sha256"]
 
 
-def _printed(table: ExportTable) -> int:
+def _printed(table: str) -> int:
     """Return the number of columns to print."""
-    names = [column.name for column in table.columns]
+    names = [column.name for column in COLUMNS[table]]
     # A leading key column identifies the rows.
     return next((n for n, name in enumerate(names) if n > 1 and name in _NOT_PRINTED), len(names))
 
@@ -206,11 +200,11 @@ def render_sheet(tables: RoundTables, units: Units = _CENTIMETRES) -> str:
         If Jinja is not installed.
     """
     summary = tables.summary
-    columns = {column.name: column for column in tables["summary"].columns}
-    house = [line for line in tables["forecast"].rows if line["scope"] == "house"]
-    picks = tables["picks"].rows
+    columns = {column.name: column for column in COLUMNS["summary"]}
+    house = [line for line in tables["forecast"] if line["scope"] == "house"]
+    picks = tables["picks"]
     kinds = Counter(str(line["kind"]) for line in picks)
-    return _template(units).render(
+    page: str = _template(units).render(
         language=language(),
         title=tables.title,
         about=tables.provenance,
@@ -228,15 +222,16 @@ def render_sheet(tables: RoundTables, units: Units = _CENTIMETRES) -> str:
         fills=_FILLS,
         house=house,
         classes=[*dict.fromkeys(str(line["class"]) for line in house)],
-        work=tables["work"].rows,
+        work=tables["work"],
         picks=picks,
         rows=[*_drawings(tables, units)],
         kinds=[(kind, kinds[kind]) for kind in PickKind if kinds[kind]],
         fruit=[
             (row, "–" if graded is None else texts.grade_words(graded), _remarks(fruit, units))
-            for row, (fruit, graded) in zip(tables["fruit"].rows, tables.fruit, strict=True)
+            for row, (fruit, graded) in zip(tables["fruit"], tables.fruit, strict=True)
         ],
     )
+    return page
 
 
 _PIECE_M = 4.0  # of a row that is as wide as a page
@@ -260,7 +255,7 @@ def _remarks(fruit: FruitRow, units: Units) -> str:
     return "; ".join(filter(None, (picked, drawn, texts.remarks(fruit, units))))
 
 
-def _template(units: Units) -> Template:
+def _template(units: Units) -> Any:
     try:
         from jinja2 import Environment, PackageLoader, StrictUndefined
     except ModuleNotFoundError:

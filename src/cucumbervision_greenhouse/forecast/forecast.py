@@ -4,24 +4,23 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cucumbervision.crop.grades import NO_CLASS, possible_classes
+from cucumbervision.crop.profiles import CropProfile
 from cucumbervision.methods.result import INTERVAL_Z
-from cucumbervision_greenhouse.forecast.growth import FruitState, draw_lengths, lengths_today
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from cucumbervision.crop.profiles import CropProfile
-    from cucumbervision_greenhouse.forecast.growth import Growth
+from cucumbervision_greenhouse.forecast.growth import (
+    FruitState,
+    Growth,
+    draw_lengths,
+    lengths_today,
+)
 
 
 @lru_cache(maxsize=4096)  # a house has few rows, and many fruit in each
@@ -80,6 +79,8 @@ class Forecast:
     picks, row_picks : Counts, shapes (D, C) and (R, D, C)
         Fruit that become ready on that day, by class: the picks if every ready fruit is picked
         every day.
+    picked_by : Counts, shape (D, 1)
+        Fruit that become ready up to that day, of all classes that are picked.
     complete : ndarray of bool, shape (D, C)
         Whether only fruit seen today can be in that class on that day. If not, add fruit that are
         too small to be measured today.
@@ -100,6 +101,7 @@ class Forecast:
     by_row: Counts
     picks: Counts
     row_picks: Counts
+    picked_by: Counts
     complete: NDArray[np.bool_]
     growth: Growth
 
@@ -198,6 +200,9 @@ def forecast(
         np.stack(shares, axis=2).transpose(1, 0, 2),
         *_counts(np.stack(standing, axis=3), share, level, rng),
         *_counts(np.stack(picked, axis=3), share, level, rng),
+        _counts(np.cumsum(np.sum(picked, axis=(0, 3)), axis=0)[..., None, None], share, level, rng)[
+            0
+        ],
         _complete(newcomer_m, profile),
         growth,
     )

@@ -16,19 +16,16 @@ explains the fruit that were measured on several days. Without these everything 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
+from cucumbervision.crop.profiles import CropProfile
 
-    from numpy.typing import ArrayLike, NDArray
-
-    from cucumbervision.crop.profiles import CropProfile
-
-    Point = tuple[float, float, float]  # day, length in metres, its standard deviation
+Point: TypeAlias = "tuple[float, float, float]"  # day, length in metres, its standard deviation
 
 
 @dataclass(frozen=True)

@@ -4,22 +4,16 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cucumbervision.crop.grades import class_of
 from cucumbervision.crop.profiles import TOO_LONG
-from cucumbervision_greenhouse.forecast.forecast import natural_key
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Mapping
-
-    from cucumbervision_greenhouse.forecast.forecast import Forecast
-    from cucumbervision_greenhouse.forecast.growth import FruitState
-
+from cucumbervision_greenhouse.forecast.forecast import Forecast, natural_key
+from cucumbervision_greenhouse.forecast.growth import FruitState
 
 _SURE = 0.95  # probability from which a fruit is surely ready on a later day
 

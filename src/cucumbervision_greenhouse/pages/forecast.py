@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from datetime import date
-from typing import TYPE_CHECKING
+from functools import partial
 
 import streamlit as st
 
@@ -12,15 +12,14 @@ from cucumbervision_greenhouse import resources
 from cucumbervision_greenhouse import words as texts
 from cucumbervision_greenhouse.forecast.forecast import Forecast
 from cucumbervision_greenhouse.forecast.picking import Span, plan_work, ready_on
+from cucumbervision_greenhouse.language import day_month_words, language, plain
 from cucumbervision_greenhouse.language import gettext as _
-from cucumbervision_greenhouse.language import language, plain
 from cucumbervision_greenhouse.pages import page_elements
 from cucumbervision_greenhouse.resources import KEPT
+from cucumbervision_greenhouse.round_view import RoundView
 from cucumbervision_greenhouse.rounds.forecasting import Age, age_of
-
-if TYPE_CHECKING:
-    from cucumbervision_greenhouse.round_view import RoundView
-    from cucumbervision_greenhouse.store.records import Round
+from cucumbervision_greenhouse.rounds.harvest import HEAD, fruit_kg, keep_harvest, read_harvest
+from cucumbervision_greenhouse.store.records import Round
 
 
 @page_elements.of_round
@@ -34,13 +33,14 @@ def page(walk: RoundView) -> None:
         )
         return
     _age(walk.round)
-    names = [_("Next days"), _("Work and crates")]
-    days, work = st.tabs(names, key="forecast_tabs", on_change="rerun")
+    names = [_("Next days"), _("Work and crates"), _("Harvest")]
+    days, work, harvest = st.tabs(names, key="forecast_tabs", on_change="rerun")
     with days:
         _days(prediction)
-    if work.open:
-        with work:
-            _work(prediction)
+    for part, draw in ((work, _work), (harvest, _harvest)):
+        if part.open:
+            with part:
+                draw(walk)
 
 
 def _age(round_summary: Round) -> None:
@@ -117,8 +117,9 @@ def _days(prediction: Forecast) -> None:
         st.caption(f"{_('Ranges are 80 % intervals.')} {plain(growth)}")
 
 
-def _work(prediction: Forecast) -> None:
-    saved = resources.settings()
+def _work(walk: RoundView) -> None:
+    saved, prediction = resources.settings(), walk.forecast
+    kg = fruit_kg(walk.harvests, walk.fruit, walk.profile)
     per_hour, per_row, per_crate = st.columns(3)
     for name, column, label, low, high, step in (
         ("fruit_per_hour", per_hour, _("Fruit picked in an hour"), 1.0, 5000.0, 10.0),
@@ -131,6 +132,7 @@ def _work(prediction: Forecast) -> None:
         {
             _("Day"): texts.forecast_day(prediction, day.day),
             _("Fruit"): texts.span_words(day.fruit),
+            _("kg"): "–" if kg is None else texts.count_words(kg * day.fruit.expected),
             _("Work"): texts.hours_span_words(day.hours),
             **{
                 _("Crates {name}").format(name=name): texts.span_words(n)
@@ -142,3 +144,55 @@ def _work(prediction: Forecast) -> None:
     ]
     page_elements.table(lines)
     st.caption(_("If every ready fruit is picked every day. Hours for one person."))
+
+
+def _harvest(walk: RoundView) -> None:
+    """Draw forecasts beside what was picked, what is kept of it, and a field for more."""
+    kg = fruit_kg(walk.harvests, walk.fruit, walk.profile)
+    page_elements.table(
+        [
+            {
+                _("Days"): str(line.days),
+                _("Rounds"): str(line.rounds),
+                _("Forecast"): _with_kg(line.forecast, kg and kg * line.forecast),
+                _("Harvest"): _with_kg(line.harvest, kg and kg * line.harvest),
+                _("Error"): f"{100 * line.error:.0f} %",
+                _("In the range"): f"{100 * line.within:.0f} %",
+            }
+            for line in walk.compared
+        ]
+    )
+    st.caption(
+        _(
+            "What the newest rounds of this house forecast to be picked from the day of the walk "
+            "on, and what was picked: as entered below, or else ticked on the pick list. The range "
+            "should hold 80 % of the harvests."
+        )
+    )
+    newest = sorted(walk.harvests.items(), reverse=True)[:7]
+    page_elements.table(
+        [
+            {_("Day"): day_month_words(day), _("Harvest"): _with_kg(*of_day)}
+            for day, of_day in newest
+        ]
+    )
+    first = f"{HEAD}\n{date.today()};;;;;"
+    help_ = _("A line a day, row and class; or paste a table. Fruit or crates are needed.")
+    st.text_area(_("Picked fruit"), first, key="harvest", help=help_)
+    keep = partial(page_elements.do, partial(_keep, walk.key))
+    page_elements.button(st, _("Keep this harvest"), "save", keep)
+    page_elements.draw_undo(walk.key)
+
+
+def _keep(round_key: str) -> None:
+    text = str(st.session_state["harvest"])
+    lines, unknown = read_harvest(text, resources.settings().fruit_per_crate)
+    keep_harvest(resources.store(), round_key, lines, date.today())
+    if unknown:
+        words = _("Columns that are not used: {names}").format(names=", ".join(unknown))
+        st.toast(plain(words), icon=":material/info:")
+
+
+def _with_kg(fruit: float, kg: float | None) -> str:
+    words = texts.count_words(fruit)
+    return words if kg is None else f"{words} ({texts.count_words(kg)} kg)"

@@ -289,8 +289,8 @@ def _of_picture(view: FruitRow) -> list[FruitRow]:
     """Return all fruit of the picture that a view is of."""
     return [
         detection
-        for detection in resources.store().detections(view.round_key)
-        if (detection.stop_key, detection.capture) == (view.stop_key, view.capture)
+        for detection in resources.store().detections(view.round_key, view.stop_key, shapes=True)
+        if detection.capture == view.capture
     ]
 
 

@@ -112,12 +112,12 @@ def missing_round() -> str:
 
 
 def _begin(rounds: Collection[Round]) -> None:
-    st.text_input(_("Name"), placeholder=_("Morning round"), key="new_name")
+    st.text_input(_("Name"), placeholder=_(resources.USUAL_NAME), key="new_name")
     houses = resources.houses(rounds)
     newest = next((x.house for x in rounds), "")
     st.session_state.setdefault("new_house", newest)
     # Never a choice that text is typed into: a house that is not picked from it would be lost.
-    st.text_input(_("House"), placeholder=_("House 1"), key="new_house")
+    st.text_input(_("House"), placeholder=_(resources.USUAL_HOUSE), key="new_house")
     if len(houses) > 1:
         st.pills(_("Known houses"), houses, key="known_house", on_change=_choose_house)
     titles = resources.crop_titles()
@@ -132,14 +132,13 @@ def _begin(rounds: Collection[Round]) -> None:
     def begin(key: str) -> None:
         # Read the fields' current values: the page may not have been redrawn since they changed.
         name, house = (str(st.session_state.get(key, "")) for key in ("new_name", "new_house"))
-        house = house.strip() or _("House 1")  # what an empty field shows
-        record = Round(key, name.strip() or _("Morning round"), house, profile=crop)
+        record = resources.new_round(name, house, crop, key)
         try:
             resources.store().save_round(record)
         except CucumberVisionError as error:
             st.session_state["begin_fault"] = words_of(error)
             return
-        if (same := same_house(house, houses)) != " ".join(house.split()):
+        if (same := same_house(record.house, houses)) != " ".join(record.house.split()):
             words = _("The round is in the house '{house}', which is known by that name.")
             st.toast(plain(words.format(house=same)))
         st.session_state["round"] = record.key

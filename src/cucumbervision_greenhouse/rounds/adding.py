@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Callable
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cucumbervision._version import __version__
 from cucumbervision.about import code_sha256
@@ -19,26 +21,24 @@ from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.frames import Capture, Doubt, Stop
 from cucumbervision.capture.readers.native import MANIFEST
 from cucumbervision.capture.source import CaptureRef
-from cucumbervision.errors import InstancesError, Message, RoundError, StoreAwayError
+from cucumbervision.errors import InstancesError, Message, RoundError
 from cucumbervision.files import json_value
 from cucumbervision.fruit.instance import Instance, MaskSource
 from cucumbervision.fruit.mask_codes import decode_rle, encode_rle
 from cucumbervision.fruit.masks import box_ious
+from cucumbervision.methods.result import Fruit, Measurement
 from cucumbervision.run.batch import (
-    Engine,
     Item,
     Listed,
     LoopOptions,
     Outcome,
     ResultWorker,
-    in_process,
     measure_all,
-    never,
     read_captures,
 )
 from cucumbervision.run.fields import stored_row
-from cucumbervision.run.measurer import Boundary, Failure, Measurer
-from cucumbervision.run.options import GRAVITY_BY_EDGE
+from cucumbervision.run.measurer import Boundary, CaptureResult, Failure, Measurer
+from cucumbervision.run.options import GRAVITY_BY_EDGE, MeasureOptions
 from cucumbervision.tube.shape import arc_positions
 from cucumbervision_greenhouse.rounds.poses import (
     MIDDLE_SD_M,
@@ -49,29 +49,18 @@ from cucumbervision_greenhouse.rounds.poses import (
     stored_pose,
 )
 from cucumbervision_greenhouse.rounds.walking import refuse_taken
-from cucumbervision_greenhouse.store.images import DEPTH_UNIT_M
+from cucumbervision_greenhouse.store.images import DEPTH_UNIT_M, ImageStore
 from cucumbervision_greenhouse.store.records import (
     ArtifactRecord,
     CaptureRecord,
     FruitRow,
     Point,
-    Saved,
+    Round,
     StopRecord,
     key_of,
     new_key,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    from cucumbervision.methods.result import Fruit, Measurement
-    from cucumbervision.run.measurer import CaptureResult
-    from cucumbervision.run.options import MeasureOptions
-    from cucumbervision_greenhouse.store.images import ImageStore
-    from cucumbervision_greenhouse.store.records import Round
-    from cucumbervision_greenhouse.store.repository import Store
+from cucumbervision_greenhouse.store.repository import Store
 
 Report: TypeAlias = Callable[["Added"], None]
 
@@ -113,6 +102,10 @@ class Place:
     sign: int | None = None
     poses: Mapping[str, PoseLine] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        """Refuse a place that no stop can have."""
+        Stop(self.row, self.side, self.position_m)
+
     def stop(self, capture: Capture, key: str, round_key: str, number: int = 0) -> StopRecord:
         """Return the stop of a capture, before it is measured.
 
@@ -152,9 +145,9 @@ class Place:
         pose = pose_matrix(position_m or 0.0, sign, **turned)
         camera = CameraModel.of(capture.intrinsics).model_dump(mode="json")
         return StopRecord(
+            **vars(Stop(row, side, position_m, number + 1 if stop.step is None else stop.step)),
             key=key,
             round_key=round_key,
-            **vars(Stop(row, side, position_m, number + 1 if stop.step is None else stop.step)),
             position_sd_m=None if position_m is None else sd_m,
             taken_s=capture.timestamp_s or _written_s(capture.source) or time.time(),
             pose=tuple(pose.round(9).ravel().tolist()),
@@ -205,13 +198,10 @@ class RoundCapture(Listed):
         The stop that it is or will be, as far as it is known before it is measured.
     is_deleted : bool, optional
         Whether its stop was deleted; None if the round has no such stop.
-    keep : bool
-        Save it though nothing can be measured in it, or another stop is at its place.
     """
 
     stop: StopRecord
     is_deleted: bool | None = None
-    keep: bool = False
 
     @classmethod
     def to_add(
@@ -219,13 +209,10 @@ class RoundCapture(Listed):
         store: Store,
         round_key: str,
         capture: Capture,
-        *,
-        key: str = "",
         number: int = 0,
         place: Place | None = None,
-        keep: bool = False,
     ) -> RoundCapture:
-        """Return a capture with its state in the round.
+        """Return a capture with its state in the round; its key is that of its content.
 
         Parameters
         ----------
@@ -233,24 +220,17 @@ class RoundCapture(Listed):
             The store, and the round, saved before.
         capture : Capture
             The frame.
-        key : str
-            Of its stop; by default one of the capture's content.
         number, place
             As for `Place.stop`.
-        keep : bool
-            As above.
 
         Raises
         ------
         CucumberVisionError
             If the store cannot be read, or a pose file has no line for the capture.
         """
-        key = key or key_of(round_key, capture.name, capture_sha256(capture))
-        is_deleted, stop = store.stop_is_deleted(key), StopRecord(key, round_key)
-        if is_deleted is None:
-            stop = (place or Place()).stop(capture, key, round_key, number)
-        listed = vars(Listed.of(capture))
-        return cls(**listed, stop=stop, is_deleted=is_deleted, keep=keep)
+        key = key_of(round_key, capture.name, capture_sha256(capture))
+        stop = (place or Place()).stop(capture, key, round_key, number)
+        return cls(**vars(Listed.of(capture)), stop=stop, is_deleted=store.stop_is_deleted(key))
 
 
 class _New(ResultWorker):
@@ -314,88 +294,59 @@ def add_captures(
                 continue
             failures: list[Failure] = []
             with Boundary(failures, read.source, read.name):
-                yield RoundCapture.to_add(store, round_key, read, number=number, place=place)
+                yield RoundCapture.to_add(store, round_key, read, number, place)
             yield from failures
 
-    for _, added in add_all(store, items(), measurer, loop.engine, loop.is_cancelled):
+    captures = measure_all(items(), _New(measurer), loop.engine, loop.is_cancelled)
+    for item, outcome in captures:
+        failures, result = list(outcome.failures), outcome.value
+        added = None
+        if isinstance(item, RoundCapture) and (result or item.is_deleted is not None):
+            with Boundary(failures := [], item.input, item.name):
+                added = _added(store, item, result, measurer)
+        if failures:
+            added = Added(failures[0].capture or failures[0].input, failure=failures[0])
+        if added is None:  # stopped before its turn
+            continue
         done.append(added)
         if report is not None:
             report(added)
     return done
 
 
-def add_all(
-    store: Store,
-    items: Iterable[RoundCapture | Failure],
-    measurer: Measurer,
-    engine: Engine = in_process,
-    is_cancelled: Callable[[], bool] = never,
-) -> Iterator[tuple[RoundCapture | Failure, Added]]:
-    """Measure captures, save each as a stop, and yield it with its outcome, in order.
-
-    Parameters
-    ----------
-    store : Store
-        Where to.
-    items : iterable of RoundCapture or Failure
-        The captures; a failure among them is passed on in its turn.
-    measurer : Measurer
-        What measures.
-    engine, is_cancelled
-        As for `measure_all`; none is yielded for those before which the loop was stopped.
-
-    Raises
-    ------
-    CucumberVisionError
-        As `measure_all`.
-    """
-    for item, outcome in measure_all(items, _New(measurer), engine, is_cancelled):
-        failures = list(outcome.failures) if outcome.value is None else []
-        added = None
-        if isinstance(item, RoundCapture) and not failures:
-            with Boundary(failures, item.input, item.name):
-                added = _added(store, item, outcome.value, measurer)
-        if failures:
-            added = Added(failures[0].capture or failures[0].input, failure=failures[0])
-        if added is not None:  # None: stopped before its turn
-            yield item, added
-
-
-def require_store(added: Added) -> None:
-    """Stop where the store was not there, which is no fault of the capture: it is kept for later.
-
-    Raises
-    ------
-    StoreAwayError
-        With the message of the failure.
-    """
-    if added.failure is not None and added.failure.error == StoreAwayError.__name__:
-        raise StoreAwayError(added.failure.message)
-
-
 def _added(
     store: Store, item: RoundCapture, result: CaptureResult | None, measurer: Measurer
-) -> Added | None:
-    """Save the result of a capture, and return the outcome; None if it was not measured.
+) -> Added:
+    """Save the result of a capture, unless its round has it; return the outcome.
 
     Raises
     ------
     CucumberVisionError
         If nothing was measured, its place is taken, or it cannot be saved.
     """
-    added = Added(item.name, item.stop.key, deleted=bool(item.is_deleted))
-    if item.is_deleted is not None or result is None:
-        return None if item.is_deleted is None else added
-    if result.error is not None and not item.keep:
+    if result is not None and result.error is not None:
         raise result.error
-    if store.stop_is_deleted(item.stop.key) is not None:  # the same capture given twice
-        return added
-    if not item.keep:
-        refuse_taken(store, item.stop)
-    stop = measured_stop(item.stop, [result], measurer, store.images)
-    new = store.save_stop(stop) is Saved.NEW
+    # The same capture may be given twice.
+    if result is None or store.stop_is_deleted(item.stop.key) is not None:
+        return Added(item.name, item.stop.key, deleted=bool(item.is_deleted))
+    refuse_taken(store, item.stop)
+    return save_measured(store, item.stop, result, measurer)
+
+
+def save_measured(
+    store: Store, stop: StopRecord, result: CaptureResult, measurer: Measurer
+) -> Added:
+    """Save a capture as a stop with what was measured in it, or why nothing was.
+
+    Raises
+    ------
+    StoreError
+        If it cannot be saved.
+    """
+    new = store.save_stop(measured_stop(stop, [result], measurer, store.images))
     note = "" if result.error is None else result.error.message
-    return replace(added, fruit=len(result.fruit) if new else 0, new=new, note=note)
+    fruit = len(result.fruit) if new else 0
+    return Added(result.capture.name, stop.key, fruit=fruit, new=new, note=note)
 
 
 def capture_sha256(capture: Capture) -> str:
@@ -628,12 +579,15 @@ def measure_round_again(
     """
     measurer, loop = Measurer(options), loop or LoopOptions()
     new, failures = replace(old, key=new_key(), stops=0, fruit=0, last_s=None), list[Failure]()
-    stops = {view.key: store.stop(view.key) for view in store.stops(old.key)}
+    stops = {stop.key: stop for stop in store.stops(old.key)}
+    views: dict[str, list[FruitRow]] = defaultdict(list)
+    for view in store.detections(old.key, shapes=True):
+        views[view.stop_key].append(view)
 
     def items() -> Iterator[Listed]:
         for key, stop in stops.items():
             for capture in stop.captures:
-                load = partial(_uncalibrated, store, capture, stop, options)
+                load = partial(_uncalibrated, store, capture, stop, views[key], options)
                 yield Listed(key, CaptureRef(capture.name, capture.frame or 0, load), capture.name)
 
     again: dict[str, list[CaptureResult]] = {}
@@ -651,13 +605,17 @@ def measure_round_again(
     with Boundary(failures, store.name, old.name or old.key):
         store.save_round(new)
         for key, stop in stops.items():
-            _save_again(store, new.key, stop, again[key], measurer)
+            _save_again(store, new.key, stop, views[key], again[key], measurer)
         store.delete_round(old.key)
     return (old.key if failures else new.key), failures
 
 
 def _uncalibrated(
-    store: Store, record: CaptureRecord, stop: StopRecord, options: MeasureOptions
+    store: Store,
+    record: CaptureRecord,
+    stop: StopRecord,
+    views: Sequence[FruitRow],
+    options: MeasureOptions,
 ) -> Capture:
     """Return a stored capture as it was before a calibration, with the data set's own masks."""
     capture = stored_capture(store.images, record, stop)
@@ -668,20 +626,23 @@ def _uncalibrated(
         if site.lens is not None:
             capture = replace(capture, intrinsics=site.camera.intrinsics.intrinsics)
     masks = [
-        decode_rle(fruit.mask, capture.height, capture.width)
-        for fruit in record.fruit
-        if fruit.mask is not None and fruit.mask_source == MaskSource.DATASET
+        decode_rle(view.mask, capture.height, capture.width)
+        for view in views
+        if view.capture == record.name
+        if view.mask is not None and view.mask_source == MaskSource.DATASET
     ]
     return replace(capture, masks=tuple(masks))
 
 
 def _save_again(
-    store: Store, round_key: str, stop: StopRecord, results: list[CaptureResult], measurer: Measurer
+    store: Store,
+    round_key: str,
+    stop: StopRecord,
+    views: Sequence[FruitRow],
+    results: list[CaptureResult],
+    measurer: Measurer,
 ) -> None:
     """Save a stop of the new round, at its place, with what people decided about its fruit."""
-    views = [
-        view for view in store.detections(stop.round_key, shapes=True) if view.stop_key == stop.key
-    ]
     key, decided = key_of(round_key, stop.key), []
     for place, (result, taken) in enumerate(zip(results, stop.captures, strict=True)):
         fruit = list(result.fruit)

@@ -3,23 +3,17 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cache
 from statistics import median
-from typing import TYPE_CHECKING
 
 from cucumbervision.methods.result import LengthDefinition
 from cucumbervision_greenhouse.forecast.forecast import natural_key
-from cucumbervision_greenhouse.rounds.fruit_table import read_round
-from cucumbervision_greenhouse.store.records import LinkKind
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-
-    from cucumbervision_greenhouse.rounds.fruit_table import RoundContent
-    from cucumbervision_greenhouse.store.records import FruitRow, StopRecord
-    from cucumbervision_greenhouse.store.repository import Store
+from cucumbervision_greenhouse.rounds.fruit_table import RoundContent, read_round
+from cucumbervision_greenhouse.store.records import FruitRow, LinkKind, StopRecord
+from cucumbervision_greenhouse.store.repository import Store
 
 _REACH_M = 0.5  # along the row: a camera shows the fruit this far from its stop
 
@@ -185,7 +179,7 @@ def compare_rounds(
     """
     before = {line.key: line for line in earlier if not line.doubtful}
     after = {line.key: line for line in later if not line.doubtful}
-    walked_before, walked_after = (_walked_spans(stops_of_round) for stops_of_round in stops)
+    walked_before, walked_after = map(_walked, stops)
     changes = []
     for key, view in after.items():
         first = before.pop(same.get(key, ""), None)
@@ -209,32 +203,25 @@ def _place(fruit: FruitChange) -> tuple[object, ...]:
     return (natural_key(fruit.row), along_m is None, along_m or 0.0)
 
 
-_Spans = dict[tuple[str, str], tuple[float, float] | None]
+_Walked = dict[tuple[str, str], list[float | None]]
 
 
-def _walked_spans(stops: Iterable[StopRecord]) -> _Spans:
-    """Return from where to where each side of each row was walked, metres; None if not known."""
-    spans: _Spans = {}
+def _walked(stops: Iterable[StopRecord]) -> _Walked:
+    """Return where each side of each row was walked, metres; None where that is not known."""
+    positions_m: _Walked = {}
     for stop in stops:
-        side = stop.row or "", stop.side or ""
         at_m = stop.position_m if stop.fitted_m is None else stop.fitted_m
-        span = spans.get(side, (at_m, at_m) if at_m is not None else None)
-        if at_m is None or span is None:
-            spans[side] = None
-        else:
-            spans[side] = min(span[0], at_m), max(span[1], at_m)
-    return spans
+        positions_m.setdefault((stop.row or "", stop.side or ""), []).append(at_m)
+    return positions_m
 
 
-def _is_walked(view: FruitRow, spans: _Spans) -> bool:
-    """Return whether a round with these spans went where a fruit hangs."""
-    side = view.row or "", view.side or ""
-    if side not in spans:
-        return False
-    span = spans[side]
-    if span is None or view.along_m is None:
-        return True
-    return bool(span[0] - _REACH_M <= view.along_m <= span[1] + _REACH_M)
+def _is_walked(view: FruitRow, walked: _Walked) -> bool:
+    """Return whether a round that walked there went where a fruit hangs."""
+    positions_m = walked.get((view.row or "", view.side or ""), [])
+    known_m = [at_m for at_m in positions_m if at_m is not None]
+    if view.along_m is None or len(known_m) < len(positions_m) or not known_m:
+        return bool(positions_m)
+    return bool(min(known_m) - _REACH_M <= view.along_m <= max(known_m) + _REACH_M)
 
 
 def linked_rounds(store: Store, content: RoundContent) -> tuple[list[RoundContent], dict[str, str]]:

@@ -8,15 +8,11 @@ remain without a link, and each link has a probability.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cucumbervision.methods.matching import ALONG, UP, log_density
-from cucumbervision_greenhouse.rounds.row_views import pairs_within
-
-if TYPE_CHECKING:
-    from cucumbervision_greenhouse.rounds.row_views import Floats, Ints, RowFruit
+from cucumbervision_greenhouse.rounds.row_views import Floats, Ints, RowFruit, pairs_within
 
 _STAY_SHARE = 0.75  # share of fruit that are still there and seen
 # How far a fruit hangs off its plant's shift: along, up, into the row.
@@ -249,33 +245,15 @@ def _peak(grid: Floats, middles: list[Floats]) -> tuple[float, float]:
 
 
 def _assign(i: Ints, j: Ints, ratio: Floats, rows: int, columns: int) -> Ints:
-    """Return which pairs are assigned, one to one; a pair below even odds is none.
-
-    Fruit that no likely pair joins are assigned apart from each other, group by group.
-    """
+    """Return which pairs are assigned, one to one; a pair below even odds is none."""
     from scipy.optimize import linear_sum_assignment
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
 
-    likely = np.flatnonzero(ratio > 0)
-    ends = (i[likely], rows + j[likely])
-    graph = coo_array((np.ones(len(likely)), ends), shape=(rows + columns, rows + columns))
-    _, label = connected_components(graph, directed=False)
-    order = likely[np.argsort(label[i[likely]], kind="stable")]
-    cuts = np.flatnonzero(np.diff(label[i[order]])) + 1
-    chosen_pairs = []
-    for part in np.split(order, cuts):
-        if not len(part):
-            continue
-        rows_of_part, row = np.unique(i[part], return_inverse=True)
-        columns_of_part, column = np.unique(j[part], return_inverse=True)
-        index = np.full((len(rows_of_part), len(columns_of_part)), -1)
-        index[row, column] = part
-        gain = np.where(index >= 0, ratio[index], 0.0)
-        chosen = index[linear_sum_assignment(gain, maximize=True)]
-        chosen_pairs.append(chosen[chosen >= 0])
-    none: Ints = np.zeros(0, np.intp)
-    return np.concatenate([none, *chosen_pairs])
+    pair = np.full((rows, columns), -1)
+    pair[i, j] = np.arange(len(i))
+    gain = np.where(pair >= 0, np.maximum(ratio, 0.0)[pair], 0.0) if len(i) else pair
+    chosen = np.asarray(pair[linear_sum_assignment(gain, maximize=True)], np.intp)
+    chosen = chosen[chosen >= 0]
+    return chosen[ratio[chosen] > 0]
 
 
 def _fit(

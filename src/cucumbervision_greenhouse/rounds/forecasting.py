@@ -5,34 +5,24 @@ from __future__ import annotations
 import datetime
 import math
 from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from itertools import groupby
-from typing import TYPE_CHECKING
 
 from cucumbervision.crop.grades import UNDECIDED, WITHOUT_CLASS, Grade, GradeStatus, class_of, grade
+from cucumbervision.crop.profiles import CropProfile
 from cucumbervision.errors import Message
 from cucumbervision.methods.intervals import SCALE_SD
-from cucumbervision.methods.result import UNKNOWN_SD
-from cucumbervision_greenhouse.forecast.forecast import forecast
-from cucumbervision_greenhouse.forecast.growth import FruitState, GrowthPrior, fit_growth
-from cucumbervision_greenhouse.forecast.picking import pick_list
+from cucumbervision.methods.result import UNKNOWN_SD, Length
+from cucumbervision_greenhouse.forecast.forecast import Forecast, forecast
+from cucumbervision_greenhouse.forecast.growth import FruitState, GrowthPrior, Point, fit_growth
+from cucumbervision_greenhouse.forecast.picking import Pick, pick_list
 from cucumbervision_greenhouse.rounds.day_comparison import linked_rounds
-from cucumbervision_greenhouse.rounds.fruit_table import fruit_table, read_round
+from cucumbervision_greenhouse.rounds.fruit_table import RoundContent, fruit_table, read_round
 from cucumbervision_greenhouse.rounds.merge_and_link import DAY_S
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-
-    from cucumbervision.crop.profiles import CropProfile
-    from cucumbervision.methods.result import Length
-    from cucumbervision_greenhouse.forecast.forecast import Forecast
-    from cucumbervision_greenhouse.forecast.growth import Point
-    from cucumbervision_greenhouse.forecast.picking import Pick
-    from cucumbervision_greenhouse.rounds.fruit_table import RoundContent
-    from cucumbervision_greenhouse.store.records import ArtifactRecord, FruitRow, Round
-    from cucumbervision_greenhouse.store.repository import Store
-
+from cucumbervision_greenhouse.store.records import ArtifactRecord, FruitRow, Round
+from cucumbervision_greenhouse.store.repository import Store
 
 _UNKNOWN_SD_M = 1e-3  # of a lower bound of 0
 

@@ -4,33 +4,26 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from statistics import fmean, stdev
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cucumbervision.errors import RoundError
 from cucumbervision.methods.matching import ALONG, DEPTH, UP, pooled_length
 from cucumbervision.methods.result import INTERVAL_Z, UNKNOWN_SD, LengthDefinition
 from cucumbervision.methods.table import AVAILABLE
-from cucumbervision.run.fields import table_row
+from cucumbervision.run.fields import Cell, table_row
 from cucumbervision.run.tables import Summary
 from cucumbervision_greenhouse.forecast.forecast import natural_key
 from cucumbervision_greenhouse.rounds.poses import MIDDLE_SD_M, offset_of, stored_pose
-from cucumbervision_greenhouse.rounds.row_views import RowStops, RowViews
-from cucumbervision_greenhouse.store.records import Verdict
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    from cucumbervision.run.fields import Cell
-    from cucumbervision_greenhouse.rounds.row_views import Ints
-    from cucumbervision_greenhouse.store.records import FruitRow, Round, StopRecord
-    from cucumbervision_greenhouse.store.repository import Store
+from cucumbervision_greenhouse.rounds.row_views import Ints, RowStops, RowViews
+from cucumbervision_greenhouse.store.records import FruitRow, Round, StopRecord, Verdict
+from cucumbervision_greenhouse.store.repository import Store
 
 _CAMERA_SD_M = 0.03  # standard deviation of a camera from its usual height and distance
 _USUAL_REACH = 0.687  # a D435's colour camera, for stops without a stored camera

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections import defaultdict
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.methods.matching import ALONG, DEPTH, position_ratio
+from cucumbervision.methods.matching import ALONG, DEPTH, Crowd, position_ratio
 from cucumbervision_greenhouse.rounds.row_views import (
+    Floats,
+    Ints,
     RowStops,
     RowViews,
     crowd_of,
@@ -19,10 +20,6 @@ from cucumbervision_greenhouse.rounds.row_views import (
     shape_ratio,
     vote_pairs,
 )
-
-if TYPE_CHECKING:
-    from cucumbervision.methods.matching import Crowd
-    from cucumbervision_greenhouse.rounds.row_views import Floats, Ints
 
 _LEAST_RATIO = -8.0  # log likelihood ratio of a pair that is no candidate
 

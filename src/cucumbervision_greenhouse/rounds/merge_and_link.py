@@ -4,48 +4,35 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from statistics import fmean
 
 import numpy as np
 
+from cucumbervision.capture.frames import Stop
+from cucumbervision.crop.profiles import CropProfile
 from cucumbervision.errors import RoundError, StoreError
 from cucumbervision.methods.matching import ALONG
 from cucumbervision.names import house_key
+from cucumbervision_greenhouse.rounds import fruit_table
 from cucumbervision_greenhouse.rounds.day_linking import link_days
-from cucumbervision_greenhouse.rounds.fruit_table import (
-    CONTENTS,
-    RoundContent,
-    counted_fruit,
-    read_round,
-    stored_merging,
-)
 from cucumbervision_greenhouse.rounds.merge import merge_row
 from cucumbervision_greenhouse.rounds.poses import sign_of_side
 from cucumbervision_greenhouse.rounds.row_views import row_fruit
 from cucumbervision_greenhouse.rounds.walking import is_demonstration, refuse_taken
 from cucumbervision_greenhouse.store.marks import MOVE_ROUND, STOP_EDITS
-from cucumbervision_greenhouse.store.records import SURE, LinkKind, LinkRecord
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from cucumbervision.capture.frames import Stop
-    from cucumbervision.crop.profiles import CropProfile
-    from cucumbervision_greenhouse.rounds.fruit_table import StoredRow
-    from cucumbervision_greenhouse.rounds.row_views import RowStops
-    from cucumbervision_greenhouse.store.records import Round, StopRecord
-    from cucumbervision_greenhouse.store.repository import Store
-    from cucumbervision_greenhouse.store.waiting import WaitingCaptures
-
+from cucumbervision_greenhouse.store.records import SURE, LinkKind, LinkRecord, Round, StopRecord
+from cucumbervision_greenhouse.store.repository import Store
+from cucumbervision_greenhouse.store.waiting import WaitingCaptures
 
 DAY_S = 86400.0
 
 
 @dataclass(frozen=True)
 class RowCounts:
-    """The result of merging one row.
+    """One row of a round as it was merged last.
 
     Parameters
     ----------
@@ -59,8 +46,6 @@ class RowCounts:
         Whether the row has been merged.
     stop_sd_m : float, optional
         How well the stops are known now, on average, metres.
-    mirrored : tuple of str
-        Sides where positions seem to be reversed; their captures should be added again.
     unplaced : int
         Detections that could not take part: without a position or without depth.
     """
@@ -71,7 +56,6 @@ class RowCounts:
     fruit: int
     merged: bool = True
     stop_sd_m: float | None = None
-    mirrored: tuple[str, ...] = ()
     unplaced: int = 0
 
 
@@ -100,7 +84,7 @@ class RowLinks:
     shift_sd_m: float
 
 
-def merge_round(store: Store, round_key: str) -> list[RowCounts]:
+def merge_round(store: Store, round_key: str) -> dict[str, list[str]]:
     """Merge all rows of a round again, and save the links and the fitted stop positions.
 
     What was linked or parted by hand is kept: it comes before what is found here.
@@ -112,6 +96,11 @@ def merge_round(store: Store, round_key: str) -> list[RowCounts]:
     round_key : str
         The round.
 
+    Returns
+    -------
+    dict of str to list of str
+        By row, the sides where positions seem to be reversed: their captures should be added again.
+
     Raises
     ------
     RoundError
@@ -119,48 +108,34 @@ def merge_round(store: Store, round_key: str) -> list[RowCounts]:
     """
     links: list[LinkRecord] = []
     positions: dict[str, tuple[float, float]] = {}
-    reports = []
-    for row in read_round(store, round_key).rows:
+    mirrored = {}
+    for row in fruit_table.read_round(store, round_key).rows:
         merged = merge_row(row.stops, row.views)
         for (a, b), chance in zip(merged.pairs.tolist(), merged.probability.tolist(), strict=True):
             links.append(LinkRecord(LinkKind.SAME, row.fruit[a].key, row.fruit[b].key, chance))
         along = merged.stops.at_m[:, ALONG].tolist(), merged.stops.sd_m[:, ALONG].tolist()
         keys = [stop.key for stop in row.taken]
         positions |= dict(zip(keys, zip(*along, strict=True), strict=True))
-        fruit = len(np.unique(merged.cluster)) + row.unplaced
-        reports.append(_counts(row, merged.stops, fruit, merged.mirrored))
+        mirrored[row.name] = [row.sides[side] for side in merged.mirrored]
     store.save_merging(round_key, links, positions)
-    return reports
+    return mirrored
 
 
-def _counts(
-    row: StoredRow,
-    stops: RowStops,
-    fruit: int,
-    mirrored: tuple[int, ...] = (),
-    *,
-    done: bool = True,
-) -> RowCounts:
-    return RowCounts(
-        row=row.name,
-        stops=len(stops),
-        views=len(row.views),
-        fruit=fruit,
-        merged=done,
-        stop_sd_m=float(stops.sd_m[:, ALONG].mean()) if len(stops) else None,
-        mirrored=tuple(row.sides[side] for side in mirrored),
-        unplaced=row.unplaced,
-    )
-
-
-@lru_cache(maxsize=CONTENTS)  # today's list, the forecast and the map ask for the same
-def row_counts(content: RoundContent) -> tuple[RowCounts, ...]:
+@lru_cache(maxsize=fruit_table.CONTENTS)  # today's list, the forecast and the map ask for the same
+def row_counts(content: fruit_table.RoundContent) -> tuple[RowCounts, ...]:
     """Return the rows of a round as they were merged last, what was done by hand included."""
-    fruit = Counter(view.row or "" for view in counted_fruit(content.views))
+    fruit = Counter(view.row or "" for view in fruit_table.counted_fruit(content.views))
     return tuple(
-        _counts(
-            *(row, stored_merging(row)[1], fruit[row.name]),
-            done=any(stop.fitted_m is not None for stop in row.taken),
+        RowCounts(
+            row=row.name,
+            stops=len(row.stops),
+            views=len(row.views),
+            fruit=fruit[row.name],
+            merged=any(stop.fitted_m is not None for stop in row.taken),
+            stop_sd_m=fmean(fruit_table.stored_merging(row)[1].sd_m[:, ALONG])
+            if row.taken
+            else None,
+            unplaced=row.unplaced,
         )
         for row in content.rows
     )
@@ -204,14 +179,14 @@ def link_rounds(
         prior = profile.growth
         sd_m = math.hypot(prior.house_sd, prior.row_sd, prior.fruit_sd) / 100
         growth = prior.mean / 100, sd_m
-    contents = read_round(store, earlier), read_round(store, later)
+    contents = fruit_table.read_round(store, earlier), fruit_table.read_round(store, later)
     rows_before = {row.name: row for row in contents[0].rows if len(row.views)}
     links, row_links = [], []
     for row in contents[1].rows:
         before = rows_before.get(row.name)
         if before is None or not len(row.views):
             continue
-        fruit = [row_fruit(*stored_merging(day), day.views) for day in (before, row)]
+        fruit = [row_fruit(*fruit_table.stored_merging(day), day.views) for day in (before, row)]
         linked = link_days(fruit[0], fruit[1], days, *growth)
         for (a, b), chance in zip(linked.pairs.tolist(), linked.probability.tolist(), strict=True):
             keys = before.fruit[fruit[0].best[a]].key, row.fruit[fruit[1].best[b]].key
@@ -394,19 +369,28 @@ def _round_of(rounds: list[Round], key: str) -> Round:
     raise RoundError("there is no round {key}", remedy="see the list of rounds", key=key)
 
 
+def rounds_of_house(store: Store, round_key: str) -> list[Round]:
+    """Return the rounds of a round's house that hold fruit, the latest walk first."""
+    rounds = store.rounds()
+    return sorted(_of_house(rounds, _round_of(rounds, round_key)), key=lambda x: -x.walked_s)
+
+
+def _of_house(rounds: list[Round], current: Round) -> list[Round]:
+    """Return the rounds of one house that hold fruit.
+
+    The demonstration is in no house, so that it is never a day of one without a name.
+    """
+    house = house_key(current.house), is_demonstration(current.key)
+    return [x for x in rounds if x.fruit and (house_key(x.house), is_demonstration(x.key)) == house]
+
+
 def _neighbours(rounds: list[Round], round_key: str) -> list[tuple[float, Round]]:
     """Return the other rounds of a house that hold fruit, each with how much later it was walked.
 
-    Those of the same day are left out; the nearest is first. The demonstration is in no house, so
-    that it is never a day of one without a name.
+    Those of the same day are left out; the nearest is first.
     """
     current = _round_of(rounds, round_key)
-    house = house_key(current.house), is_demonstration(round_key)
-    others = [
-        (x.walked_s - current.walked_s, x)
-        for x in rounds
-        if x.fruit and (house_key(x.house), is_demonstration(x.key)) == house
-    ]
+    others = [(x.walked_s - current.walked_s, x) for x in _of_house(rounds, current)]
     return sorted(
         (part for part in others if abs(part[0]) > _SAME_DAY_S), key=lambda part: abs(part[0])
     )

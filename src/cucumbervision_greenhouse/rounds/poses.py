@@ -4,21 +4,17 @@ from __future__ import annotations
 
 import csv
 import io
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from cucumbervision.errors import RoundError, wrap_reader_errors
 from cucumbervision.methods.matching import SURFACE_DEPTH_SD_M, SURFACE_SD_M
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from cucumbervision_greenhouse.store.records import FruitRow
+from cucumbervision_greenhouse.store.records import FruitRow
 
 MIDDLE_SD_M = 0.03  # how well an operator knows where along the row a stop is
 
@@ -96,7 +92,7 @@ def read_poses(path: Path) -> dict[str, PoseLine]:
             content = read_json(path, RoundError, "give CSV or JSON")
             lines = content if isinstance(content, list) else [content]
         else:
-            lines = _lines(read_text(path, RoundError))
+            lines = csv_lines(read_text(path, RoundError))
     poses: dict[str, PoseLine] = {}
     for number, line in enumerate(lines, 1):
         pose = parse_model(PoseLine, line, source=f"{path}, line {number}", error=RoundError)
@@ -112,12 +108,14 @@ def read_poses(path: Path) -> dict[str, PoseLine]:
     return poses
 
 
-def _lines(text: str) -> list[Any]:
-    # An empty cell is a value that is not given.
-    return [
-        {key: value for key, value in line.items() if value not in ("", None)}
-        for line in csv.DictReader(io.StringIO(text))
-    ]
+def csv_lines(text: str) -> list[dict[str, Any]]:
+    """Return the lines of a table by its columns, which commas, semicolons or tabs split.
+
+    An empty cell is a value that is not given.
+    """
+    head, _, _ = text.partition("\n")
+    lines = csv.DictReader(io.StringIO(text), delimiter=max(",;\t", key=head.count))
+    return [{key: cell for key, cell in line.items() if cell not in ("", None)} for line in lines]
 
 
 def sign_of_side(side: str | None) -> int:

@@ -2,38 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from typing import TypeVar
 
+from cucumbervision.capture.frames import Stop
 from cucumbervision.errors import RoundError
-from cucumbervision_greenhouse.store.records import Round, key_of
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
-    from cucumbervision.capture.frames import Stop
-    from cucumbervision_greenhouse.store.records import StopRecord
-    from cucumbervision_greenhouse.store.repository import Store
+from cucumbervision_greenhouse.store.records import Round, StopRecord, key_of
+from cucumbervision_greenhouse.store.repository import Store
 
 _STEP_M = 0.4
 _WIDEST_M = 5.0
 _SAME_M = 0.005  # positions are typed to the centimetre
 
 
-class _Placed(Protocol):
-    """A stop, taken or stored."""
-
-    @property
-    def row(self) -> str | None: ...
-    @property
-    def side(self) -> str | None: ...
-    @property
-    def position_m(self) -> float | None: ...
-    @property
-    def step(self) -> int | None: ...
-
-
-_T = TypeVar("_T", bound=_Placed)
+_T = TypeVar("_T", bound="Stop")
 
 
 @dataclass(frozen=True)
@@ -75,12 +58,12 @@ class NextPlace:
         )
 
 
-def next_place(stops: Sequence[_Placed]) -> NextPlace:
+def next_place(stops: Sequence[Stop]) -> NextPlace:
     """Return the next place of a walk: one step from its last stop, the distance of the last two.
 
     Parameters
     ----------
-    stops : sequence of Stop or StopRecord
+    stops : sequence of Stop
         What was taken so far, in order.
 
     Examples
@@ -107,7 +90,7 @@ def next_place(stops: Sequence[_Placed]) -> NextPlace:
     ).onward()
 
 
-def unless_taken(stop: Stop, taken: Sequence[_Placed]) -> Stop:
+def unless_taken(stop: Stop, taken: Sequence[Stop]) -> Stop:
     """Return a stop at a free place: if its place is taken, one step after the last of its row.
 
     Two people who walk one round thus never give one place to two stops.
@@ -116,7 +99,7 @@ def unless_taken(stop: Stop, taken: Sequence[_Placed]) -> Stop:
     ----------
     stop : Stop
         The position given by the operator.
-    taken : sequence of Stop or StopRecord
+    taken : sequence of Stop
         Where the others are, in order.
 
     Examples
@@ -141,7 +124,7 @@ def unless_taken(stop: Stop, taken: Sequence[_Placed]) -> Stop:
     return moved
 
 
-def stops_at(stop: _Placed, stops: Iterable[_T]) -> list[_T]:
+def stops_at(stop: Stop, stops: Iterable[_T]) -> list[_T]:
     """Return the stops at the place of a stop; none if its place is unknown."""
     at_m = stop.position_m
     if at_m is None:
@@ -182,7 +165,7 @@ def refuse_taken(store: Store, stop: StopRecord) -> None:
             raise RoundError(fault, remedy=remedy, number=there.step, position=there.position_m)
 
 
-def last_step(*walks: Sequence[_Placed]) -> int:
+def last_step(*walks: Sequence[Stop]) -> int:
     """Return the highest number that a stop has; 0 without any.
 
     Examples
@@ -194,7 +177,7 @@ def last_step(*walks: Sequence[_Placed]) -> int:
     return max((stop.step or 0 for stops in walks for stop in stops), default=0)
 
 
-def sides_of(stops: Iterable[_Placed]) -> list[str]:
+def sides_of(stops: Iterable[Stop]) -> list[str]:
     """Return the names of a house's row sides from its stops; otherwise left and right.
 
     Examples

@@ -6,15 +6,12 @@ import time
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from sqlalchemy import select
 
 from cucumbervision.errors import StoredImageError
+from cucumbervision_greenhouse.store.engine import Database
 from cucumbervision_greenhouse.store.schema import CAPTURES
-
-if TYPE_CHECKING:
-    from cucumbervision_greenhouse.store.engine import Database
 
 _GRACE_S = 3600.0  # longer than any program takes between a picture and the stop that names it
 _PICTURES = (CAPTURES.c.color, CAPTURES.c.depth, CAPTURES.c.thumbnail)

@@ -9,10 +9,11 @@ import json
 import os
 import re
 import sqlite3
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from copy import copy
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Self
 
 from sqlalchemy import Column, Connection, Engine, create_engine, event, func, inspect, select, text
 from sqlalchemy.engine import URL, make_url
@@ -34,10 +35,6 @@ from cucumbervision.errors import (
 )
 from cucumbervision_greenhouse.store.images import ImageStore
 from cucumbervision_greenhouse.store.schema import FRUIT, METADATA, VERSION
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from typing import Self
 
 BUSY_TIMEOUT_S = 30.0
 SIGNED_BY = "cucumbervision_signed_by"

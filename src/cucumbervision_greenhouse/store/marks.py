@@ -8,24 +8,18 @@ values before. What is deleted stays in the tables, out of all lists.
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import Any
 
-from sqlalchemy import and_, delete, insert, or_, select, update
+from sqlalchemy import Connection, Table, and_, delete, insert, or_, select, update
 
+from cucumbervision.capture.frames import Stop
 from cucumbervision.errors import StoreConflictError, StoreError
 from cucumbervision.names import checked_name, same_house
+from cucumbervision_greenhouse.store import records
 from cucumbervision_greenhouse.store.engine import DEVICE, SIGNED_BY, Database
-from cucumbervision_greenhouse.store.records import LinkKind, LinkRecord, Verdict
 from cucumbervision_greenhouse.store.schema import CAPTURES, FRUIT, LINKS, MARKS, ROUNDS, STOPS
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from sqlalchemy import Connection, Table
-
-    from cucumbervision_greenhouse.store.records import FruitRow, StopRecord
-
-_AT_ONCE = 10_000  # SQLite takes 32,766 values in one command, PostgreSQL 65,535
 LARGEST_STEP = 2**31 - 1  # of a column of whole numbers in PostgreSQL
 
 TAKE_BACK = "take-back-stop"
@@ -37,12 +31,12 @@ STOP_EDITS = ("place-stop", "delete-stop", TAKE_BACK)
 NOT_UNDONE = ("undo", "measure-again")
 """Kinds that cannot be undone; before 0.2 stops were measured again in place."""
 
-_VERDICTS = {"accept": Verdict.ACCEPTED, "reject": Verdict.REJECTED, "clear": None}
+_VERDICTS = {"accept": records.Verdict.ACCEPTED, "reject": records.Verdict.REJECTED, "clear": None}
 _LINK_KINDS = {
-    "merge": LinkKind.SAME,
-    "unmerge": LinkKind.APART,
-    "link-growth": LinkKind.GROWTH,
-    "unlink-growth": LinkKind.APART,
+    "merge": records.LinkKind.SAME,
+    "unmerge": records.LinkKind.APART,
+    "link-growth": records.LinkKind.GROWTH,
+    "unlink-growth": records.LinkKind.APART,
 }
 """Marks of links by hand; those within a round were made by the dashboard of 0.1.0."""
 _PLACE = ("row", "side", "position_m", "step", "note", "mirrored")
@@ -65,7 +59,7 @@ class Marks(Database):
     `StoreConflictError` where somebody else has changed it since.
     """
 
-    def set_verdict(self, fruit: Sequence[str], verdict: Verdict | None) -> int:
+    def set_verdict(self, fruit: Sequence[str], verdict: records.Verdict | None) -> int:
         """Accept or reject fruit; None removes the verdict."""
         kind = next(kind for kind, value in _VERDICTS.items() if value is verdict)
         return self._mark(kind, fruit)
@@ -78,7 +72,7 @@ class Marks(Database):
         """Record that fruit were not picked."""
         return self._mark("unpick", fruit)
 
-    def correct(self, key: str, row: FruitRow) -> int:
+    def correct(self, key: str, row: records.FruitRow) -> int:
         """Replace a fruit's row by one with a corrected outline; the first one is kept."""
         return self._mark("correct", [key], {"row": {**row.cells, **row.shape}})
 
@@ -89,6 +83,12 @@ class Marks(Database):
                 connection, kind, fruit[-1].round_id, [line.key for line in fruit], details
             )
 
+    def keep_harvest(self, round_key: str, lines: Sequence[dict[str, Any]]) -> int:
+        """Record a harvest of a round's house, as `rounds.harvest` reads it."""
+        with self.writing() as connection:
+            round_id = round_id_of(connection, round_key)
+            return write_mark(connection, "harvest", round_id, details={"lines": list(lines)})
+
     def decide_growth(self, first: str, last: str, *, same: bool) -> int:
         """Record whether a fruit of one day is that of a later one."""
         with self.writing() as connection:
@@ -97,7 +97,7 @@ class Marks(Database):
             details = {"rounds": [x.round_id for x in fruit], "ends": [[first, last]]}
             return write_mark(connection, kind, fruit[-1].round_id, [first, last], details)
 
-    def place_stop(self, stop: StopRecord, seen: StopRecord | None = None) -> int:
+    def place_stop(self, stop: records.StopRecord, seen: records.StopRecord | None = None) -> int:
         """Set where a stop was taken, and its name; its fitted position is discarded.
 
         Raises
@@ -206,18 +206,20 @@ def _not_undone() -> Any:
     return and_(MARKS.c.id.not_in(taken_back), MARKS.c.undoes_id.is_(None))
 
 
-def check_place(stop: StopRecord) -> None:
-    """Check the row, side, name and number of a stop: every database takes them alike.
+def check_place(stop: records.StopRecord) -> None:
+    """Check the place, name and number of a stop: every database takes them alike.
 
     Raises
     ------
     NameRefusedError
         If a name cannot be read.
+    CaptureError
+        If the position is farther than any row is long.
     StoreError
         If the number is too large.
     """
-    for what, name in {"row": stop.row, "side": stop.side, "stop's name": stop.note}.items():
-        checked_name(name or "", what)
+    Stop(stop.row, stop.side, stop.position_m)
+    checked_name(stop.note, "stop's name")
     if abs(stop.step or 0) > LARGEST_STEP:
         raise StoreError(
             "a stop has no number {number}",
@@ -236,12 +238,9 @@ def find_fruit(connection: Connection, keys: Sequence[str]) -> list[Any]:
     """
     if not keys:
         raise StoreError("no fruit was named", remedy="name at least one")
-    fruit: dict[str, Any] = {}
-    for start in range(0, len(keys), _AT_ONCE):
-        query = select(FRUIT.c.key, FRUIT.c.id, FRUIT.c.round_id).where(
-            FRUIT.c.key.in_(keys[start : start + _AT_ONCE]), IS_ACTIVE
-        )
-        fruit |= {line.key: line for line in connection.execute(query)}
+    query = select(FRUIT.c.key, FRUIT.c.id, FRUIT.c.round_id)
+    query = query.where(FRUIT.c.key.in_(keys), IS_ACTIVE)
+    fruit = {line.key: line for line in connection.execute(query)}
     missing = next((key for key in keys if key not in fruit), None)
     if missing is not None:
         raise StoreError(
@@ -311,8 +310,8 @@ def marks_of(connection: Connection, round_id: int) -> dict[str, dict[str, Any]]
 
 
 def links_of(
-    connection: Connection, round_id: int, kind: LinkKind | None = None
-) -> list[LinkRecord]:
+    connection: Connection, round_id: int, kind: records.LinkKind | None = None
+) -> list[records.LinkRecord]:
     """Return the links that touch a round, those by hand in place of others of the same pair."""
     first, second = FRUIT.alias(), FRUIT.alias()
     query = (
@@ -327,24 +326,26 @@ def links_of(
         .order_by(LINKS.c.id)
     )
     links = {
-        frozenset((a, b)): LinkRecord(LinkKind(name), a, b, score)
+        frozenset((a, b)): records.LinkRecord(records.LinkKind(name), a, b, score)
         for name, a, b, score in connection.execute(query)
     }
     links |= _links_by_hand(connection, round_id)
     return [link for link in links.values() if kind in (None, link.kind)]
 
 
-def _links_by_hand(connection: Connection, round_id: int) -> dict[frozenset[str], LinkRecord]:
+def _links_by_hand(
+    connection: Connection, round_id: int
+) -> dict[frozenset[str], records.LinkRecord]:
     """Return the links that people made in a round, or between it and another, by their pairs."""
     query = select(MARKS.c.kind, MARKS.c.fruit, MARKS.c.details)
     query = query.where(MARKS.c.kind.in_(_LINK_KINDS), _not_undone()).order_by(MARKS.c.id)
-    links: dict[frozenset[str], LinkRecord] = {}
+    links: dict[frozenset[str], records.LinkRecord] = {}
     for kind, (first, *others), details in connection.execute(query):
         if round_id in details["rounds"]:
             for pair in details.get("ends", ()):
                 links.pop(frozenset(pair), None)
             for key in others:
-                link = LinkRecord(_LINK_KINDS[kind], first, key, by_hand=True)
+                link = records.LinkRecord(_LINK_KINDS[kind], first, key, by_hand=True)
                 links[frozenset((first, key))] = link
     keys = {key for pair in links for key in pair}
     there = set(
@@ -353,7 +354,7 @@ def _links_by_hand(connection: Connection, round_id: int) -> dict[frozenset[str]
     return {pair: link for pair, link in links.items() if pair <= there}
 
 
-def forget_links(connection: Connection, kind: LinkKind, rounds: tuple[int, int]) -> None:
+def forget_links(connection: Connection, kind: records.LinkKind, rounds: tuple[int, int]) -> None:
     """Remove the links that an algorithm made between two rounds, or within one."""
     connection.execute(
         delete(LINKS).where(
@@ -368,7 +369,7 @@ def _forget_growth(connection: Connection, round_ids: Sequence[int]) -> None:
     """Remove computed links of growth of rounds that change house: they are linked again there."""
     ends = LINKS.c.first_round_id, LINKS.c.second_round_id
     of_rounds = or_(*(end.in_(round_ids) for end in ends))
-    connection.execute(delete(LINKS).where(LINKS.c.kind == str(LinkKind.GROWTH), of_rounds))
+    connection.execute(delete(LINKS).where(LINKS.c.kind == str(records.LinkKind.GROWTH), of_rounds))
 
 
 def line_of(connection: Connection, table: Table, key: str) -> Any:

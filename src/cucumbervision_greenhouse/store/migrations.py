@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import struct
 from collections import defaultdict
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import sqlalchemy as sa
 from alembic import op
@@ -23,9 +24,6 @@ from cucumbervision_greenhouse.store.schema import (
     SHAPES,
     STOPS,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 _AT_ONCE = 1000  # lines that are held in memory
 _CAPTURE_RECORD = (

@@ -11,6 +11,7 @@ from enum import StrEnum
 from types import SimpleNamespace
 from typing import Any, TypeAlias
 
+from cucumbervision.capture.frames import Stop
 from cucumbervision.methods.flags import is_length_unknown, is_lower_bound
 from cucumbervision.methods.result import Length
 from cucumbervision.run.fields import STORED_FIELDS, stored_length
@@ -21,13 +22,6 @@ _HIDDEN_SHARE = 0.15  # means the same as a flag of a fruit that is partly out o
 _SAME_HEIGHT_M = 0.005
 _CLOCK_SET_S = 946_684_800.0  # the year 2000
 _NAMESPACE = uuid.UUID("6f2d2a4e-5d0b-5c7e-9a4d-6d1c1f0c9b57")
-
-
-class Saved(StrEnum):
-    """Whether a saved record was new."""
-
-    NEW = "new"
-    ALREADY_THERE = "already-there"
 
 
 class Verdict(StrEnum):
@@ -286,7 +280,7 @@ class CaptureRecord:
     doubts : tuple of str, optional
         What its reader found doubtful, as `capture.frames.Doubt`; None for nothing.
     fruit : tuple of FruitRow
-        Its fruit, each number once; lists of stops leave them out.
+        Its fruit, each number once, where it is saved; what is read leaves them out.
     """
 
     name: str
@@ -311,21 +305,19 @@ class CaptureRecord:
 
 
 @dataclass(frozen=True)
-class StopRecord:
+class StopRecord(Stop):
     """One stop of a round: what is saved in one piece.
 
     Parameters
     ----------
+    row, side, position_m, step : optional
+        As in `Stop`: position along the row as the operator or odometry gives it.
     key : str
         UUID, made by the program that takes the captures, and kept when the stop is sent again.
     round_key : str
         The round, which must be saved first.
-    row, side : str, optional
-        Row of the house, and side of the row.
-    position_m, position_sd_m : float, optional
-        Position along the row as the operator or odometry gives it, and its standard deviation.
-    step : int, optional
-        Number of the stop.
+    position_sd_m : float, optional
+        Standard deviation of the position.
     taken_s : float
         When, seconds since 1970 (UTC).
     pose : tuple of float
@@ -337,7 +329,7 @@ class StopRecord:
     artifacts : tuple of ArtifactRecord
         Models, calibration and configuration that were used.
     failures : tuple of mapping
-        What could not be read or measured, as `pipeline.measurer.Failure`.
+        What could not be read or measured, as `run.measurer.Failure`.
     mirrored : bool
         Whether its side was corrected: offsets along the row count the other way.
     fitted_m, fitted_sd_m : float, optional
@@ -346,13 +338,9 @@ class StopRecord:
         How many fruit it shows, in a list.
     """
 
-    key: str
-    round_key: str
-    row: str | None = None
-    side: str | None = None
-    position_m: float | None = None
+    key: str = ""
+    round_key: str = ""
     position_sd_m: float | None = None
-    step: int | None = None
     taken_s: float = 0.0
     pose: Point = ()
     note: str = ""
@@ -363,6 +351,9 @@ class StopRecord:
     fitted_m: float | None = None
     fitted_sd_m: float | None = None
     fruit: int = 0
+
+    def __post_init__(self) -> None:
+        """Take what an earlier version stored as it is; `check_place` checks before saving."""
 
     @property
     def pose_now(self) -> Point:
@@ -390,8 +381,6 @@ class StopRecord:
         level = abs(self.height_m - stop.height_m) < _SAME_HEIGHT_M
         return level and (not (self.camera and stop.camera) or self.camera == stop.camera)
 
-
-LONGEST_ROW_M = 1000.0
 
 SURE = 0.85
 """Probability from which a pair of two days is linked; below, people are asked."""
@@ -436,7 +425,7 @@ class LogEntry:
     kind : str
         'accept', 'reject', 'clear', 'pick', 'unpick', 'correct', 'add', 'merge', 'unmerge',
         'link-growth', 'unlink-growth', 'place-stop', 'delete-stop', 'take-back-stop',
-        'rename-round', 'move-round', 'delete-round' or 'undo'.
+        'rename-round', 'move-round', 'delete-round', 'harvest' or 'undo'.
     round_key : str, optional
         Of its last fruit: of growth between two rounds the later.
     fruit : tuple of str
@@ -466,7 +455,7 @@ class DetectionDetail:
     view : FruitRow
         As in lists, with its mask, keypoints and path.
     capture : CaptureRecord
-        Its capture, with all fruit of it as they were first measured.
+        Its capture.
     stop : StopRecord
         Its stop, with all captures.
     log : tuple of LogEntry

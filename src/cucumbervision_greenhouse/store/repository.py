@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping
-from dataclasses import fields, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields
 from math import hypot
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from sqlalchemy import and_, func, insert, select, update
+from sqlalchemy import ColumnElement, Connection, Table, and_, func, insert, select, update
 
 from cucumbervision.errors import StoreError, wrap_reader_errors
 from cucumbervision.names import checked_name, same_house
@@ -36,7 +36,6 @@ from cucumbervision_greenhouse.store.records import (
     LinkRecord,
     LogEntry,
     Round,
-    Saved,
     StopRecord,
     Verdict,
     key_of,
@@ -50,12 +49,6 @@ from cucumbervision_greenhouse.store.schema import (
     SHAPES,
     STOPS,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
-    from sqlalchemy import ColumnElement, Connection, Table
-
 
 _ROUND_CELLS = ("key", "name", "house", "started_s", "profile", "note")
 _STOP_CELLS = (
@@ -104,13 +97,13 @@ def open_store(where: str | Path, *, images: Path | None = None, create: bool = 
     >>> from cucumbervision_greenhouse.store.records import StopRecord, new_key
     >>> walk, stop = Round(name="morning"), new_key()
     >>> capture = CaptureRecord("a", fruit=(FruitRow(1, length=Length(0.31)),))
-    >>> record = StopRecord(stop, walk.key, row="3", position_m=1.2, captures=(capture,))
+    >>> record = StopRecord("3", None, 1.2, key=stop, round_key=walk.key, captures=(capture,))
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     with open_store(Path(folder) / "house.db") as store:
     ...         print(store.save_round(walk), store.save_stop(record), store.save_stop(record))
     ...         [fruit] = store.detections(walk.key)
     ...         print(fruit.row, fruit.along_m, fruit.length_m)
-    new new already-there
+    True True False
     3 1.2 0.31
     """
     url = database_url(where)
@@ -145,8 +138,8 @@ class Store(Marks):
     database reports an error, or a key is not there.
     """
 
-    def save_round(self, record: Round) -> Saved:
-        """Add a round; the same one sent again changes nothing.
+    def save_round(self, record: Round) -> bool:
+        """Add a round and return True; the same one sent again changes nothing.
 
         Its house is the known one where their names differ by no more than case, spaces or the
         word 'house' (`names.same_house`).
@@ -163,10 +156,10 @@ class Store(Marks):
             houses = select(ROUNDS.c.house).where(~ROUNDS.c.deleted).order_by(ROUNDS.c.id)
             cells["house"] = same_house(house, connection.execute(houses).scalars())
             line_id = _insert_new(connection, ROUNDS, cells)
-        return Saved.ALREADY_THERE if line_id is None else Saved.NEW
+        return line_id is not None
 
-    def save_stop(self, stop: StopRecord) -> Saved:
-        """Add a stop with all that is in it; one sent again under its key changes nothing.
+    def save_stop(self, stop: StopRecord) -> bool:
+        """Add a stop with all that is in it and return True; the same key again changes nothing.
 
         Put its pictures into `images` first: a picture without a stop can be found and removed
         (`check_store`), a stop without its picture cannot be repaired.
@@ -186,7 +179,7 @@ class Store(Marks):
             cells = {name: getattr(stop, name) for name in _STOP_CELLS}
             stop_id = _insert_new(connection, STOPS, {**cells, "round_id": round_id})
             if stop_id is None:
-                return Saved.ALREADY_THERE
+                return False
             for number, capture in enumerate(stop.captures):
                 cells = {name: getattr(capture, name) for name in _CAPTURE_CELLS}
                 cells |= {"stop_id": stop_id, "number": number}
@@ -196,7 +189,7 @@ class Store(Marks):
                 # The same keys on every machine: of the stop's, the capture's place, the number.
                 keys = [key_of("fruit", stop.key, number, row.fruit) for row in capture.fruit]
                 _add_fruit(connection, capture_id, round_id, keys, capture.fruit)
-        return Saved.NEW
+        return True
 
     def add_fruit(self, stop_key: str, capture: str, row: FruitRow) -> str:
         """Add a fruit that was not found, as a mark. Return its key.
@@ -303,25 +296,35 @@ class Store(Marks):
             return _stops_of(connection, and_(in_round, ~STOPS.c.deleted))
 
     def stop(self, key: str) -> StopRecord:
-        """Return a stop with all its data: as it was saved, but at its corrected place.
+        """Return a stop at its corrected place.
 
         Raises
         ------
         StoreError
             If it is not there.
         """
-        which = STOPS.c.key == key
         with self.reading() as connection, self._decoding():
-            for stop in _stops_of(connection, which, _fruit_of(connection, which)):
-                return replace(stop, fitted_m=None, fitted_sd_m=None, fruit=0)
+            for stop in _stops_of(connection, STOPS.c.key == key):
+                return stop
         raise StoreError("stop {key} is not in the store", remedy="look it up in stops()", key=key)
 
-    def detections(self, round_key: str, *, shapes: bool = False) -> list[FruitRow]:
-        """Return a round's fruit in the order of its stops; `shapes` adds mask, keypoints, path."""
+    def detections(
+        self, round_key: str, stop: str | None = None, *, shapes: bool = False
+    ) -> list[FruitRow]:
+        """Return a round's fruit in the order of its stops.
+
+        Parameters
+        ----------
+        round_key : str
+            The round.
+        stop : str, optional
+            Key of one stop, whose fruit are returned without their groups.
+        shapes : bool
+            Add mask, keypoints and path.
+        """
         with self.reading() as connection, self._decoding():
-            return _views_of(
-                connection, round_key, round_id_of(connection, round_key), shapes=shapes
-            )
+            round_id = round_id_of(connection, round_key)
+            return _views_of(connection, round_key, round_id, stop, shapes=shapes)
 
     def detection(self, key: str) -> DetectionDetail:
         """Return one fruit of one capture with everything.
@@ -334,18 +337,19 @@ class Store(Marks):
         with self.reading() as connection, self._decoding():
             [line] = find_fruit(connection, [key])
             query = select(ROUNDS.c.key).where(ROUNDS.c.id == line.round_id)
-            round_key = connection.execute(query).scalar_one()
-            views = _views_of(connection, round_key, line.round_id)
-            [view] = [view for view in views if view.key == line.key]
-            [shaped] = _views_of(connection, round_key, line.round_id, line.key, shapes=True)
-            log = _log_of(connection, round_key, None)
-        stop = self.stop(view.stop_key)
-        [capture] = [capture for capture in stop.captures if capture.name == view.capture]
+            of_round = connection.execute(query).scalar_one(), line.round_id
+            views = {view.key: view for view in _views_of(connection, *of_round)}
+            stop_key = views[key].stop_key
+            shaped = _views_of(connection, *of_round, stop_key, shapes=True)
+            [shape] = [view.shape for view in shaped if view.key == key]
+            [stop] = _stops_of(connection, STOPS.c.key == stop_key)
+            log = _log_of(connection, of_round[0], None)
+        [capture] = [capture for capture in stop.captures if capture.name == views[key].capture]
         return DetectionDetail(
-            view=view.with_(**shaped.shape),
+            view=views[key].with_(**shape),
             capture=capture,
             stop=stop,
-            log=tuple(mark for mark in log if line.key in mark.fruit),
+            log=tuple(mark for mark in log if key in mark.fruit),
         )
 
     def picked(self, round_key: str) -> dict[str, float]:
@@ -368,10 +372,12 @@ class Store(Marks):
             )
             return int(connection.execute(newest).scalar() or 0)
 
-    def log(self, round_key: str | None = None, *, limit: int | None = 200) -> list[LogEntry]:
-        """Return what people decided, the newest first."""
+    def log(
+        self, round_key: str | None = None, *, kind: str | None = None, limit: int | None = 200
+    ) -> list[LogEntry]:
+        """Return what people decided, of all kinds or one, the newest first."""
         with self.reading() as connection, self._decoding():
-            return _log_of(connection, round_key, limit)
+            return _log_of(connection, round_key, limit, kind)
 
     def own_actions(self, round_key: str) -> list[LogEntry]:
         """Return the marks in a round that the store's signer can undo, the newest first.
@@ -442,20 +448,19 @@ def _add_links(
 ) -> None:
     if not links:
         return
-    keys = sorted({key for link in links for key in (link.first, link.second)})
-    ids = {line.key: line for line in find_fruit(connection, keys)}
+    fruit = select(FRUIT.c.key, FRUIT.c.id).where(FRUIT.c.round_id.in_(rounds), IS_ACTIVE)
+    ids = {line.key: line.id for line in connection.execute(fruit)}
     lines = [
-        {"kind": str(kind), "first_id": ids[link.first].id, "second_id": ids[link.second].id}
+        {"kind": str(kind), "first_id": ids[link.first], "second_id": ids[link.second]}
         | {"first_round_id": rounds[0], "second_round_id": rounds[1], "score": link.score}
         for link in links
+        if link.first in ids and link.second in ids  # none was deleted meanwhile
     ]
     connection.execute(insert(LINKS), lines)
 
 
-def _stops_of(
-    connection: Connection, which: Any, fruit: Mapping[int, list[FruitRow]] | None = None
-) -> list[StopRecord]:
-    """Return stops with their captures, and with fruit where they are given."""
+def _stops_of(connection: Connection, which: Any) -> list[StopRecord]:
+    """Return stops with their captures, and the number of their fruit."""
     count = select(func.count(FRUIT.c.id)).join(CAPTURES, CAPTURES.c.id == FRUIT.c.capture_id)
     count = count.where(CAPTURES.c.stop_id == STOPS.c.id, IS_ACTIVE)
     query = (
@@ -467,7 +472,7 @@ def _stops_of(
         .where(which)
         .order_by(STOPS.c.taken_s, STOPS.c.id)
     )
-    captures, stops = _captures_of(connection, which, fruit or {}), []
+    captures, stops = _captures_of(connection, which), []
     for line in connection.execute(query).mappings():
         values = {**line, "captures": tuple(captures[line["id"]])}
         del values["id"]
@@ -477,23 +482,16 @@ def _stops_of(
     return stops
 
 
-def _captures_of(
-    connection: Connection, which: Any, fruit: Mapping[int, list[FruitRow]]
-) -> dict[int, list[CaptureRecord]]:
-    """Return the captures of stops by the stops' numbers, with fruit where they are given."""
+def _captures_of(connection: Connection, which: Any) -> dict[int, list[CaptureRecord]]:
+    """Return the captures of stops by the stops' numbers."""
     columns = [CAPTURES.c[name] for name in (*_CAPTURE_CELLS, "record")]
-    query = (
-        select(CAPTURES.c.stop_id, CAPTURES.c.id, *columns)
-        .join(STOPS, STOPS.c.id == CAPTURES.c.stop_id)
-        .where(which)
-        .order_by(CAPTURES.c.stop_id, CAPTURES.c.number)
-    )
+    query = select(CAPTURES.c.stop_id, *columns).join(STOPS, STOPS.c.id == CAPTURES.c.stop_id)
+    query = query.where(which).order_by(CAPTURES.c.stop_id, CAPTURES.c.number)
     captures: dict[int, list[CaptureRecord]] = defaultdict(list)
-    for stop_id, capture_id, *cells, record in connection.execute(query):
+    for stop_id, *cells, record in connection.execute(query):
         values = dict(zip(_CAPTURE_CELLS, cells, strict=True)) | record
-        lists = {name: values[name] and tuple(values[name]) for name in ("gravity", "doubts")}
-        rows = tuple(fruit.get(capture_id, ()))
-        captures[stop_id].append(CaptureRecord(**{**values, **lists, "fruit": rows}))
+        values |= {name: values[name] and tuple(values[name]) for name in ("gravity", "doubts")}
+        captures[stop_id].append(CaptureRecord(**values))
     return captures
 
 
@@ -502,33 +500,15 @@ def _shape_of(mask: str | None, record: Mapping[str, Any]) -> dict[str, Any]:
     return {"mask": mask, **points, "diameter_m": tuple(record["diameter_m"])}
 
 
-def _fruit_of(connection: Connection, which: Any) -> dict[int, list[FruitRow]]:
-    """Return the fruit of stops as they were saved, with their shapes, by the captures' numbers."""
-    query = (
-        select(FRUIT.c.capture_id, SHAPES.c.mask, SHAPES.c.record, *_ROW_CELLS)
-        .join(CAPTURES, CAPTURES.c.id == FRUIT.c.capture_id)
-        .join(STOPS, STOPS.c.id == CAPTURES.c.stop_id)
-        .join(SHAPES, SHAPES.c.fruit_id == FRUIT.c.id)
-        .where(which, IS_ACTIVE)
-        .order_by(FRUIT.c.id)
-    )
-    fruit: dict[int, list[FruitRow]] = defaultdict(list)
-    names = [column.name for column in _ROW_CELLS]
-    for capture_id, mask, record, *cells in connection.execute(query):
-        values = dict(zip(names, cells, strict=True)) | _shape_of(mask, record)
-        fruit[capture_id].append(FruitRow(**values))
-    return fruit
-
-
 def _views_of(
     connection: Connection,
     round_key: str,
     round_id: int,
-    key: str | None = None,
+    stop: str | None = None,
     *,
     shapes: bool = False,
 ) -> list[FruitRow]:
-    """Return a round's fruit in the order of its stops, with marks and groups; or one of them."""
+    """Return fruit in the order of their stops, with marks: a round's grouped, or one stop's."""
     place = ("position_m", "position_sd_m", "fitted_m", "fitted_sd_m", "mirrored")
     query = (
         select(
@@ -547,8 +527,8 @@ def _views_of(
     )
     if shapes:
         query = query.join(SHAPES, SHAPES.c.fruit_id == FRUIT.c.id)
-    if key is not None:
-        query = query.where(FRUIT.c.key == key)
+    if stop is not None:
+        query = query.where(STOPS.c.key == stop)
     marks, views = marks_of(connection, round_id), []
     for line in connection.execute(query).mappings():
         values, decided = dict(line), marks.get(line["key"], {})
@@ -569,7 +549,7 @@ def _views_of(
         values |= {"verdict": decided.get("verdict"), "picked_s": decided.get("picked_s")}
         values |= {"round_key": round_key, "corrected": "row" in decided, "group": line["key"]}
         views.append(FruitRow(**values))
-    return views if key is not None else _grouped(views, links_of(connection, round_id))
+    return views if stop is not None else _grouped(views, links_of(connection, round_id))
 
 
 def group_detections(keys: Iterable[str], links: Iterable[LinkRecord]) -> list[set[str]]:
@@ -643,7 +623,9 @@ def _grouped(views: list[FruitRow], links: list[LinkRecord]) -> list[FruitRow]:
     return views
 
 
-def _log_of(connection: Connection, round_key: str | None, limit: int | None) -> list[LogEntry]:
+def _log_of(
+    connection: Connection, round_key: str | None, limit: int | None, kind: str | None = None
+) -> list[LogEntry]:
     undo = MARKS.alias()
     query: Any = (
         select(
@@ -660,6 +642,8 @@ def _log_of(connection: Connection, round_key: str | None, limit: int | None) ->
     )
     if round_key is not None:
         query = query.where(ROUNDS.c.key == round_key)
+    if kind is not None:
+        query = query.where(MARKS.c.kind == kind)
     return [
         LogEntry(number, at_s, by, kind, key, tuple(fruit), details, undone=undone is not None)
         for number, at_s, by, kind, key, fruit, details, undone in connection.execute(query)

@@ -13,18 +13,14 @@ import shutil
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from pydantic import FiniteFloat, TypeAdapter
 
-from cucumbervision.capture.frames import Stop
+from cucumbervision.capture.frames import Capture, Stop
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.readers.native import write_native
 from cucumbervision.errors import StoreError, wrap_os_errors
 from cucumbervision.files import sync_folder
-
-if TYPE_CHECKING:
-    from cucumbervision.capture.frames import Capture
 
 MOST_TRIES = 3  # limits how often a capture can crash the program
 

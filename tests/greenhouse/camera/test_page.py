@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.greenhouse.conftest import whole_stop
 
 pytest.importorskip("streamlit")
 pytest.importorskip("httpx2")
@@ -187,7 +188,7 @@ def test_undo_takes_back_the_last_thing_of_this_browser_and_only_that(
 
 def test_undo_after_a_fruit_was_added_leaves_its_stop(asked: TestClient, store: Store) -> None:
     stop = store.stops(WALK)[-1]
-    capture = store.stop(stop.key).captures[0]
+    capture = whole_stop(store, stop.key).captures[0]
     one = capture.fruit[0]
     store.signed("dashboard").add_fruit(stop.key, capture.name, one.with_(mask=None))
     before = len(store.detections(WALK))
@@ -214,7 +215,7 @@ def test_a_walk_of_no_round_opens_no_other_one(asked: TestClient) -> None:
 
 def test_a_walk_says_where_each_row_goes_on(asked: TestClient, store: Store) -> None:
     for step, row, at_m in ((1, "8", 0.5), (2, "8", 1.0), (3, "9", 2.0)):
-        store.save_stop(StopRecord(key_of(step), WALK, row, "left", at_m, step=step))
+        store.save_stop(StopRecord(row, "left", at_m, step, key_of(step), WALK))
     walk = asked.get("/api/walk", params={"round": WALK, "source": "camera"}).json()
     assert (walk["rows"]["8"]["position_m"], walk["rows"]["9"]["position_m"]) == (1.5, 2.4)
     assert "10" not in walk["rows"]

@@ -12,7 +12,7 @@ from tests.greenhouse.conftest import add_one
 from cucumbervision.capture.frames import Stop
 from cucumbervision.capture.realsense import CameraConfig
 from cucumbervision.capture.source import example_captures
-from cucumbervision.errors import InstancesError, StoreError
+from cucumbervision.errors import StoreError
 from cucumbervision.networks.registry import load_registry
 from cucumbervision.run.options import MeasureOptions
 from cucumbervision_greenhouse.camera.cameras import Feed, FolderFeed, StreamCamera
@@ -81,19 +81,6 @@ def test_two_browsers_never_give_one_place_to_two_stops(
     kept = [one.stop.position_m for one in waiting.captures()]
     # The third and fourth go on from the last, as far as the last two lie apart.
     assert kept == [0.0, 0.5, 1.0, 1.5, 0.75, 0.5]
-
-
-def test_presses_that_are_told_late_together_keep_their_order(
-    store: Store, waiting: WaitingCaptures
-) -> None:
-    replay, shutter = folder(), Shutter(store, waiting, lambda: None)
-    now = time.time()
-    for number, at_s in (("a", now), ("b", now + 0.001), ("c", now + 60)):
-        shutter.press(replay, 1, WALK, Stop("1", "left", 0.0), number, at_s)
-    shutter.close()
-    kept = waiting.captures()
-    assert [one.stop.step for one in kept] == [1, 2, 3]
-    assert all(now <= one.pressed_s < now + 60 for one in kept)
 
 
 def test_a_press_whose_picture_is_gone_is_refused_and_told(
@@ -178,19 +165,6 @@ def test_a_damaged_capture_does_not_hold_the_others_up(
     assert [stop.key for stop in store.stops(DEMONSTRATION)] == [second.key]
     assert [one.key for one in waiting.set_aside()] == [first.key]
     assert "color_000000.png" in caplog.text
-
-
-def test_what_waits_is_not_tried_while_nothing_can_be_measured(
-    store: Store, waiting: WaitingCaptures, tmp_path: Path
-) -> None:
-    shutter = Shutter(store, waiting, lambda: None)
-    shutter.press(folder(), 1, WALK, Stop("1"), "a", time.time())
-    shutter.close()
-    lost = MeasureOptions(instances=str(tmp_path / "lost.json"))
-    measurer = SharedMeasurer(load_registry())
-    with pytest.raises(InstancesError):
-        measure_waiting(waiting, measurer, store, lambda: lost, print, Job("measuring"))
-    assert [one.tries for one in waiting.captures()] == [0]
 
 
 def test_a_press_that_the_disk_refused_is_saved_when_it_is_sent_again(

@@ -120,10 +120,9 @@ def test_lines_of_a_pose_file_without_a_capture_are_named(house: list[str], tmp_
 def test_a_store_is_checked(house: list[str]) -> None:
     with open_store(house[1]) as store:
         thumbnail = store.images.put_thumbnail(np.full((48, 64, 3), 90, np.uint8))
-        stop = StopRecord(
-            new_key(), store.rounds()[0].key, captures=(CaptureRecord("a", thumbnail=thumbnail),)
-        )
-        store.save_stop(stop)
+        captures = (CaptureRecord("a", thumbnail=thumbnail),)
+        walk = store.rounds()[0].key
+        store.save_stop(StopRecord(key=new_key(), round_key=walk, captures=captures))
         path = store.images.path(thumbnail)
     assert "1 pictures, 0 files that no stop names\nsound" in run("check", *house)
     path.write_bytes(b"broken")

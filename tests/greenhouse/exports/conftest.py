@@ -11,21 +11,15 @@ import pytest
 from cucumbervision.crop.profiles import load_profile
 from cucumbervision.methods.result import Length, LengthDefinition
 from cucumbervision_greenhouse.exports.build import RoundTables, round_tables
-from cucumbervision_greenhouse.store.records import (
-    ArtifactRecord,
-    CaptureRecord,
-    FruitRow,
-    Round,
-    StopRecord,
-    Verdict,
-    key_of,
-)
+from cucumbervision_greenhouse.store import records
 from cucumbervision_greenhouse.store.repository import Store, open_store
 
 EVIL = '=HYPERLINK("https://x")<script>alert(1)</script>'
 
 
-WALK = Round(key_of("export"), "morning", "house 1", 86400.0 * 20000, "long-cucumber")
+WALK = records.Round(
+    records.key_of("export"), "morning", "house 1", 86400.0 * 20000, "long-cucumber"
+)
 
 
 CONFIG, MODEL, SITE = "c" * 64, "a" * 64, "b" * 64
@@ -34,8 +28,8 @@ CONFIG, MODEL, SITE = "c" * 64, "a" * 64, "b" * 64
 THREAD = LengthDefinition.THREAD
 
 
-def fruit(number: int, length_m: float | None) -> FruitRow:
-    record = FruitRow(
+def fruit(number: int, length_m: float | None) -> records.FruitRow:
+    record = records.FruitRow(
         number,
         score=0.9,
         method="M6",
@@ -77,9 +71,9 @@ def store(house: Path) -> Iterator[Store]:
             lengths = [0.18 + 0.02 * step, 0.31 if step else None]
             found = tuple(fruit(k, length) for k, length in enumerate(lengths, 1))
             opened.save_stop(
-                StopRecord(
-                    key_of("export", step),
-                    WALK.key,
+                records.StopRecord(
+                    key=records.key_of("export", step),
+                    round_key=WALK.key,
                     row="3" if step < 5 else "10",
                     side="left",
                     position_m=2.0 * step,
@@ -87,18 +81,18 @@ def store(house: Path) -> Iterator[Store]:
                     step=step,
                     taken_s=WALK.started_s + step,
                     note=EVIL if step == 0 else "",
-                    captures=(CaptureRecord(f"c{step}", thumbnail=thumbnail, fruit=found),),
+                    captures=(records.CaptureRecord(f"c{step}", thumbnail=thumbnail, fruit=found),),
                     artifacts=(
-                        ArtifactRecord("config", "measure", CONFIG),
-                        ArtifactRecord("model", "yolo", MODEL),
-                        *([ArtifactRecord("calibration", "house", SITE)] if step else []),
+                        records.ArtifactRecord("config", "measure", CONFIG),
+                        records.ArtifactRecord("model", "yolo", MODEL),
+                        *([records.ArtifactRecord("calibration", "house", SITE)] if step else []),
                     ),
                     failures=({"input": "x", "error": "CaptureError"},) if step == 3 else (),
                 )
             )
         keys = [view.key for view in opened.detections(WALK.key)]
         opened.pick([keys[4]], at_s=WALK.started_s + 60)
-        opened.set_verdict([keys[6]], Verdict.REJECTED)
+        opened.set_verdict([keys[6]], records.Verdict.REJECTED)
         yield opened
 
 

@@ -11,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from tests.greenhouse.conftest import whole_stop
 from tests.greenhouse.exports.conftest import CONFIG, EVIL, MODEL, SITE, WALK
 from typer.testing import CliRunner
 
@@ -31,8 +32,8 @@ ROOT = Path(__file__).parents[3]
 def test_without_a_profile_there_are_no_grades_and_no_forecast(store: Store) -> None:
     tables = round_tables(store, WALK.key)
     assert tables.note == "no crop profile was named"
-    assert not tables["forecast"].rows
-    assert {line["grade"] for line in tables["fruit"].rows} == {None}
+    assert not tables["forecast"]
+    assert {line["grade"] for line in tables["fruit"]} == {None}
     assert "No forecast" in render_sheet(tables)
 
 
@@ -56,38 +57,38 @@ def _read(text: str, column: Column) -> Cell:
 
 def test_csv_reads_back_the_same(tables: RoundTables, tmp_path: Path) -> None:
     write_exports(tables, tmp_path, [ExportFormat.CSV])
-    for table in tables.tables.values():
-        with (tmp_path / f"{table.name}.csv").open(encoding="utf-8-sig", newline="") as stream:
+    for name, lines in tables.tables.items():
+        with (tmp_path / f"{name}.csv").open(encoding="utf-8-sig", newline="") as stream:
             head, *rows = csv.reader(stream)
-        assert head == [column.name for column in table.columns]
+        assert head == [column.name for column in COLUMNS[name]]
         read = [
-            {c.name: _read(cell, c) for cell, c in zip(row, table.columns, strict=True)}
+            {c.name: _read(cell, c) for cell, c in zip(row, COLUMNS[name], strict=True)}
             for row in rows
         ]
-        assert read == table.rows
+        assert read == lines
         assert not any(cell[:1] in "=+@" for row in rows for cell in row if cell)
 
 
 def test_json_reads_back_the_same(tables: RoundTables, tmp_path: Path) -> None:
     write_exports(tables, tmp_path, [ExportFormat.JSON])
     read = json.loads((tmp_path / "round.json").read_text(encoding="utf-8"))
-    for table in tables.tables.values():
-        assert read["tables"][table.name] == table.rows
-        assert [c["unit"] for c in read["columns"][table.name]] == [c.unit for c in table.columns]
+    for name, lines in tables.tables.items():
+        assert read["tables"][name] == lines
+        assert [c["unit"] for c in read["columns"][name]] == [c.unit for c in COLUMNS[name]]
     assert {one["sha256"] for one in read["hashes"]} >= {CONFIG, MODEL, SITE}
 
 
 def test_parquet_reads_back_the_same(tables: RoundTables, tmp_path: Path) -> None:
     pq = pytest.importorskip("pyarrow.parquet")
     write_exports(tables, tmp_path, [ExportFormat.PARQUET])
-    for table in tables.tables.values():
-        read = pq.read_table(tmp_path / f"{table.name}.parquet")
-        assert read.to_pylist() == table.rows
+    for name, lines in tables.tables.items():
+        read = pq.read_table(tmp_path / f"{name}.parquet")
+        assert read.to_pylist() == lines
         about = json.loads(read.schema.metadata[b"cucumbervision"])
         assert {one["kind"] for one in about["hashes"]} == {
             *("config", "model", "calibration", "profile")
         }
-        for column in table.columns:
+        for column in COLUMNS[name]:
             assert read.schema.field(column.name).metadata[b"unit"].decode() == column.unit
 
 
@@ -96,12 +97,11 @@ def test_excel_reads_back_the_same(tables: RoundTables, tmp_path: Path) -> None:
     write_exports(tables, tmp_path, [ExportFormat.XLSX])
     book = openpyxl.load_workbook(tmp_path / "round.xlsx")
     for name, (title, frozen) in SHEETS.items():
-        table = tables[name]
-        sheet = book[title]
+        lines, sheet = tables[name], book[title]
         head, *rows = sheet.iter_rows(values_only=True)
-        assert list(head) == [column.title for column in table.columns]
-        for row, cells in zip(rows, table.rows, strict=True):
-            for got, column in zip(row, table.columns, strict=True):
+        assert list(head) == [column.title for column in COLUMNS[name]]
+        for row, cells in zip(rows, lines, strict=True):
+            for got, column in zip(row, COLUMNS[name], strict=True):
                 cell = cells[column.name]
                 assert got == (cell_value(cell) if isinstance(cell, str) else cell)
         assert sheet.freeze_panes == f"{'ABCDEF'[frozen]}2"
@@ -110,11 +110,11 @@ def test_excel_reads_back_the_same(tables: RoundTables, tmp_path: Path) -> None:
         assert sheet.print_title_rows == "$1:$1"
         # What each column of a sheet says is told on the sheet 'Columns'.
         told = [row[1:] for row in book["Columns"].values if row[0] == name]
-        assert told == [(one.name, one.unit or None, one.says) for one in table.columns]
+        assert told == [(one.name, one.unit or None, one.says) for one in COLUMNS[name]]
     assert "length [cm]" in [cell.value for cell in book["Fruit"][1]]
     lengths = next(cell for cell in book["Fruit"][1] if cell.value == "length [cm]")
     assert book["Fruit"].cell(2, lengths.column).number_format == "0.00"
-    assert book["Fruit"].print_area.endswith(f"$A$1:$J${1 + len(tables['fruit'].rows)}")
+    assert book["Fruit"].print_area.endswith(f"$A$1:$J${1 + len(tables['fruit'])}")
     values = [str(cell.value) for row in book["Summary"].iter_rows() for cell in row]
     assert {CONFIG, MODEL, SITE} <= {*values}
     # No cell anywhere is a formula.
@@ -132,7 +132,7 @@ def test_the_page_names_the_days_of_the_captures_and_of_the_picking(
     assert "To pick on Mon 7 Oct" in page
     late = Round(key_of("begun later"), "late", "", WALK.started_s + 86400.0)
     store.save_round(late)
-    stop = replace(store.stop(key_of("export", 0)), key=key_of("late"), round_key=late.key)
+    stop = replace(whole_stop(store, key_of("export", 0)), key=key_of("late"), round_key=late.key)
     store.save_stop(stop)
     assert "Walked on Fri 4 Oct" in render_sheet(round_tables(store, late.key))
 

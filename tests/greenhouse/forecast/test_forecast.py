@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -164,21 +163,3 @@ def test_empty_house_is_no_error() -> None:
     assert found.house.expected.sum() == 0
     assert found.rows == ()
     assert found.ready().shape == (0,)
-
-
-def test_three_thousand_fruit_take_less_than_a_second_of_a_core() -> None:
-    lengths = np.random.default_rng(0).uniform(0.05, 0.35, 3000)
-    rows = [str(k % 20) for k in range(3000)]
-    before = [((0, max(length - 0.06, 0.01), 0.005),) for length in lengths[:500]]
-    fruit = [
-        FruitState(str(k), rows[k], 0.1 * k, length, 0.005, 2, at_least=k > 2700)
-        for k, length in enumerate(lengths)
-    ]
-    fruit[:500] = [replace(x, earlier=y) for x, y in zip(fruit, before, strict=False)]
-    growth = fit_growth(fruit, PRIOR)
-    spent = []
-    for _ in range(2):
-        start = time.process_time()
-        forecast(fruit, growth, LONG)
-        spent.append(time.process_time() - start)
-    assert min(spent) < 1.0

@@ -94,14 +94,6 @@ def test_today_does_not_depend_on_the_days_ahead() -> None:
     )
 
 
-def test_growth_that_slows_never_passes_the_full_length() -> None:
-    growth = Growth(PRIOR, (Curve(0.40, 0.03, 0.0, 0.005),))
-    lengths_m = drawn([FruitState("a", "1", 0.0, 0.30, 0.001)], growth, 0.0, days=30)
-    # From 30 cm the distance to 40 cm falls by 2 * 3 / 40 a day.
-    assert lengths_m[1].mean() == pytest.approx(0.40 - 0.10 * np.exp(-0.15), abs=0.0005)
-    assert lengths_m[12].mean() > 0.38
-
-
 def test_curves_are_drawn_by_their_weights() -> None:
     curves = (Curve(0.40, 0.03, 0.0, 1e-6, 0.25, 0.25), Curve(np.inf, 0.03, 0.0, 1e-6, 0.75, 0.75))
     growth = Growth(PRIOR, curves)

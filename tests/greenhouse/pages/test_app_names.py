@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.greenhouse.conftest import whole_stop
 
 pytest.importorskip("streamlit")
 
@@ -59,7 +60,9 @@ def address(
         named = Round(NAMED, NAME, NAME, profile="long-cucumber")
         store.save_round(named)
         for number, stop in enumerate(store.stops(WALK)):
-            record = replace(store.stop(stop.key), key=key_of("named", number), round_key=NAMED)
+            record = replace(
+                whole_stop(store, stop.key), key=key_of("named", number), round_key=NAMED
+            )
             odd = replace(record, row=NAME, note=NAME, taken_s=named.started_s + number)
             store.save_stop(odd)
         fruit = next(view for view in store.detections(NAMED) if view.length_m)

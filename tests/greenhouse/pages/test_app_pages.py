@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from tests.greenhouse.conftest import whole_stop
 
 pytest.importorskip("streamlit")
 
@@ -54,7 +55,7 @@ def test_days_that_are_not_linked_are_no_change(house: Path) -> None:
         later = Round(new_key(), "next", "house 1", profile="long-cucumber")
         store.save_round(later)
         for view in store.stops(WALK):
-            stop = replace(store.stop(view.key), key=new_key(), round_key=later.key)
+            stop = replace(whole_stop(store, view.key), key=new_key(), round_key=later.key)
             store.save_stop(replace(stop, taken_s=time.time() + 86400 + (view.step or 0)))
         first, last = (
             [view.key for view in store.detections(key) if view.best] for key in (WALK, later.key)
@@ -105,7 +106,7 @@ def test_every_page_counts_what_is_saved_of_its_round_alike(house: Path) -> None
             assert "no stops yet" not in words
         walked = walk(store, empty.key, "camera")
         assert walked["first"].startswith(told)
-        work = {"words": "Measuring: 0 of 3 captures; 2 of other rounds wait too"}
+        work = {"words": "Measuring: 0 of 3 captures; 2 captures of other rounds wait"}
         assert walked["work"] == round_view.news(empty.key)["work"]
         work["first"] = walked["first"]
         assert walked["work"] == {**work, "done": 0, "total": 3, "waiting": 3}
@@ -143,7 +144,7 @@ def test_every_page_opens_on_500_stops(
     house: Path, make_long: Callable[[Store, StopRecord, int], None]
 ) -> None:
     with open_store(house) as store:
-        template = store.stop(store.stops(WALK)[0].key)
+        template = whole_stop(store, store.stops(WALK)[0].key)
         make_long(store, template, 500)
     for page in ("results", "row_map", "forecast", "accuracy"):
         test = app(page, round=LONG, source="replay")
@@ -165,7 +166,7 @@ def test_a_page_asks_once_whatever_the_number_of_its_fruit(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     with open_store(house) as store:
-        make_long(store, store.stop(store.stops(WALK)[0].key), 100)
+        make_long(store, whole_stop(store, store.stops(WALK)[0].key), 100)
     test = app(page, round=LONG)  # reads what is kept then
     asked: Counter[str] = Counter()
     read = Store.rounds

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.greenhouse.conftest import whole_stop
 
 pytest.importorskip("streamlit")
 pytest.importorskip("axe_playwright_python")
@@ -91,7 +92,9 @@ def address(
         for key, begun_s in ((key_of("yesterday"), now_s - 86400), (TODAY, now_s)):
             store.save_round(Round(key, "morning", "house 1", begun_s, "long-cucumber"))
             for number, stop in enumerate(store.stops(WALK)):
-                record = replace(store.stop(stop.key), key=key_of(key, number), round_key=key)
+                record = replace(
+                    whole_stop(store, stop.key), key=key_of(key, number), round_key=key
+                )
                 store.save_stop(replace(record, taken_s=begun_s + number))
         fruit = next(view for view in store.detections(TODAY) if view.length_m)
     server = start_server(folder, "--store", str(path), "--replay", str(example_captures()))

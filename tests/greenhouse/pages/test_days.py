@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from tests.greenhouse.conftest import whole_stop
 
 pytest.importorskip("streamlit")
 
@@ -19,7 +20,7 @@ def test_a_pair_that_may_be_one_fruit_is_offered_until_it_is_confirmed(house: Pa
         [walk] = [x for x in store.rounds() if x.key == WALK]
         later = Round(name="later", house="house 1", started_s=walk.walked_s + 86400.0)
         store.save_round(later)
-        for x in (store.stop(x.key) for x in store.stops(WALK)):
+        for x in (whole_stop(store, x.key) for x in store.stops(WALK)):
             store.save_stop(replace(x, key=new_key(), round_key=later.key, taken_s=later.started_s))
         first, second = (store.detections(key)[0].key for key in (WALK, later.key))
         store.save_growth(WALK, later.key, [LinkRecord(LinkKind.GROWTH, first, second, 0.7)])

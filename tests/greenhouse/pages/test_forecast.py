@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import re
 import time
+from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import pytest
 pytest.importorskip("streamlit")
 
 
+from streamlit.testing.v1 import AppTest
 from tests.greenhouse.pages.app_pages import WALK, app, said, tables
 
 from cucumbervision_greenhouse import resources
@@ -72,3 +74,25 @@ def test_rates_beyond_the_limits_of_their_fields_are_shown(house: Path) -> None:
     resources.change_settings(**rates)
     assert not app("forecast", forecast_tabs="Work and crates").exception
     assert {name: getattr(resources.settings(), name) for name in rates} == rates
+
+
+def _kept(test: AppTest, text: str) -> AppTest:
+    test.text_area(key="harvest").set_value(text)
+    [button] = [x for x in test.button if x.label == "Keep this harvest"]
+    return button.click().run()
+
+
+def test_a_harvest_is_kept_beside_what_was_forecast_and_a_wrong_one_changes_nothing(
+    house: Path,
+) -> None:
+    with open_store(house) as store:
+        day = date.fromtimestamp(store.rounds()[0].walked_s)
+        test = app("forecast", forecast_tabs="Harvest")
+        for text, fault in (
+            (f"day;fruit\n{day.replace(year=day.year - 1)};2", "is not between the first round"),
+            (f"day;fruit\n{day};200", "200 fruit were picked on"),
+        ):
+            assert fault in said(_kept(test, text))
+            assert store.log(kind="harvest") == []
+        *_, kept = tables(_kept(test, f"day;fruit;kg\n{day};2;0,9"))
+        assert kept[0]["Harvest"] == "2 (0.9 kg)"

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.greenhouse.conftest import whole_stop
 
 pytest.importorskip("streamlit")
 
@@ -111,7 +112,7 @@ def test_when_a_round_is_deleted_its_neighbours_are_linked(
             record = replace(walk, key=key_of("day", day), started_s=began_s)
             store.save_round(replace(record, name="![x](http://a)"))
             for view in store.stops(WALK):
-                stop = replace(store.stop(view.key), key=new_key(), round_key=record.key)
+                stop = replace(whole_stop(store, view.key), key=new_key(), round_key=record.key)
                 store.save_stop(replace(stop, taken_s=view.taken_s + day * 86400.0))
             keys.append(record.key)
         for key in keys:

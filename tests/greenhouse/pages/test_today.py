@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from tests.greenhouse.conftest import whole_stop
 
 pytest.importorskip("streamlit")
 
@@ -35,7 +36,7 @@ def test_the_example_says_that_it_is_being_measured(house: Path) -> None:
 
 def test_an_old_round_says_nothing_of_today(house: Path) -> None:
     with open_store(house) as store:
-        template = store.stop(store.stops(WALK)[0].key)
+        template = whole_stop(store, store.stops(WALK)[0].key)
         past = Round(name="past", started_s=1_700_000_000.0)
         store.save_round(past)
         stop = replace(template, key=new_key(), round_key=past.key, taken_s=past.started_s)
@@ -47,7 +48,7 @@ def test_an_old_round_says_nothing_of_today(house: Path) -> None:
 
 def test_a_clock_that_was_set_back_is_said(house: Path) -> None:
     with open_store(house) as store:
-        template = store.stop(store.stops(WALK)[0].key)
+        template = whole_stop(store, store.stops(WALK)[0].key)
         ahead = Round(name="ahead")
         store.save_round(ahead)
         taken_s = ahead.started_s + 365 * 86_400
@@ -60,7 +61,7 @@ def test_a_clock_that_was_set_back_is_said(house: Path) -> None:
 
 def test_today_counts_what_is_ready(house: Path) -> None:
     with open_store(house) as store:
-        template = store.stop(store.stops(WALK)[1].key)
+        template = whole_stop(store, store.stops(WALK)[1].key)
         fresh = Round(name="today", house="house 9", profile="long-cucumber")
         store.save_round(fresh)
         store.save_stop(

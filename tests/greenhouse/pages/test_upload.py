@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.greenhouse.conftest import whole_stop
 
 pytest.importorskip("streamlit")
 
@@ -24,7 +25,7 @@ def test_another_row_of_an_upload_begins_at_its_own_place_and_outlives_a_reload(
     store: Store, house: Path
 ) -> None:
     for step, row, at_m in ((11, "7", 3.0), (12, "7", 3.5), (13, "1", 8.0), (14, "1", 8.4)):
-        store.save_stop(StopRecord(key_of(step), WALK, row, "left", at_m, step=step, taken_s=2e9))
+        store.save_stop(StopRecord(row, "left", at_m, step, key_of(step), WALK, taken_s=2e9))
     test = app("upload")
 
     def place() -> list[Any]:
@@ -42,7 +43,7 @@ def test_another_row_of_an_upload_begins_at_its_own_place_and_outlives_a_reload(
     assert place() == ["new", 0.0, 0.4]
     field(test, "number_input", "First at [m]").set_value(2.5).run()
     # Another capture is measured meanwhile: what was typed stays.
-    store.save_stop(StopRecord(key_of(15), WALK, "1", "left", 8.8, step=15, taken_s=2e9))
+    store.save_stop(StopRecord("1", "left", 8.8, 15, key_of(15), WALK, taken_s=2e9))
     test.run()
     assert place() == ["new", 2.5, 0.4]
     again = app("upload", row=test.query_params["row"])
@@ -51,7 +52,7 @@ def test_another_row_of_an_upload_begins_at_its_own_place_and_outlives_a_reload(
 
 def test_a_house_whose_sides_have_other_names_is_walked(house: Path) -> None:
     with open_store(house) as store:
-        template = store.stop(store.stops(WALK)[0].key)
+        template = whole_stop(store, store.stops(WALK)[0].key)
         round_for_capture(store, "", simulated=True)
         for side in ("A", "B"):
             stop = replace(template, key=key_of(side), round_key=DEMONSTRATION, side=side)
@@ -67,7 +68,7 @@ def test_what_the_data_makes_doubtful_is_told_once_where_captures_come_in(house:
     with open_store(house) as store:
         store.save_round(hollow)
         for view in store.stops(WALK):
-            stop = store.stop(view.key)
+            stop = whole_stop(store, view.key)
             doubted = [
                 replace(one, fruit=tuple(x.with_(flags="depth-hollow") for x in one.fruit))
                 for one in stop.captures

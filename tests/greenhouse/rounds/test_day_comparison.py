@@ -17,22 +17,12 @@ from cucumbervision_greenhouse.rounds.day_comparison import (
 from cucumbervision_greenhouse.rounds.fruit_table import fruit_table, read_round
 from cucumbervision_greenhouse.rounds.merge_and_link import DAY_S, earlier_rounds
 from cucumbervision_greenhouse.rounds.walking import DEMONSTRATION
-from cucumbervision_greenhouse.store.records import (
-    CaptureRecord,
-    FruitRow,
-    LinkKind,
-    LinkRecord,
-    Round,
-    StopRecord,
-    Verdict,
-    key_of,
-    new_key,
-)
+from cucumbervision_greenhouse.store import records
 from cucumbervision_greenhouse.store.repository import Store, open_store
 
 NOON_S = 1_700_000_000.0
 DAYS = [
-    Round(key_of(name), name, "north", NOON_S + number * DAY_S)
+    records.Round(records.key_of(name), name, "north", NOON_S + number * DAY_S)
     for number, name in enumerate(("monday", "tuesday", "wednesday"))
 ]
 MONDAY, TUESDAY, WEDNESDAY = (record.key for record in DAYS)
@@ -49,7 +39,7 @@ def save_stop(
     """Save a stop with a fruit of each length at each offset along the row; return their keys."""
     day = [record.key for record in DAYS].index(round_key)
     fruit = tuple(
-        FruitRow(
+        records.FruitRow(
             number,
             score=0.9,
             length=length,
@@ -61,16 +51,16 @@ def save_stop(
         )
         for number, (offset_m, length) in enumerate(lengths.items(), 1)
     )
-    key = key_of(round_key, row, position_m)
+    key = records.key_of(round_key, row, position_m)
     store.save_stop(
-        StopRecord(
-            key,
-            round_key,
+        records.StopRecord(
             row,
             "left",
             position_m,
+            key=key,
+            round_key=round_key,
             taken_s=NOON_S + day * DAY_S + (position_m or 0.0),
-            captures=(CaptureRecord("a", fruit=fruit),),
+            captures=(records.CaptureRecord("a", fruit=fruit),),
         )
     )
     return [view.key for view in store.detections(round_key) if view.stop_key == key]
@@ -87,7 +77,9 @@ def store(tmp_path: Path) -> Iterator[Store]:
 def link(store: Store, first: str, last: str) -> None:
     """Link a fruit of a day with that of a later one, surely."""
     earlier, later = (store.detection(key).view.round_key for key in (first, last))
-    store.save_growth(earlier, later, [LinkRecord(LinkKind.GROWTH, first, last, 1.0)])
+    store.save_growth(
+        earlier, later, [records.LinkRecord(records.LinkKind.GROWTH, first, last, 1.0)]
+    )
 
 
 def compare(store: Store, *rounds: str) -> DayComparison:
@@ -115,11 +107,15 @@ def change_of(comparison: DayComparison, key: str) -> Change:
 def test_the_demonstration_is_no_earlier_day_of_a_house_without_a_name(tmp_path: Path) -> None:
     with open_store(tmp_path / "unnamed.db") as store:
         for key, day in ((MONDAY, 0), (DEMONSTRATION, 1), (TUESDAY, 2)):
-            store.save_round(Round(key, "round", "", NOON_S + day * DAY_S))
-            fruit = (FruitRow(1, score=0.9, length=Length(0.1)),)
+            store.save_round(records.Round(key, "round", "", NOON_S + day * DAY_S))
+            fruit = (records.FruitRow(1, score=0.9, length=Length(0.1)),)
             taken_s = NOON_S + day * DAY_S
-            capture = CaptureRecord("a", fruit=fruit)
-            store.save_stop(StopRecord(new_key(), key, taken_s=taken_s, captures=(capture,)))
+            capture = records.CaptureRecord("a", fruit=fruit)
+            store.save_stop(
+                records.StopRecord(
+                    key=records.new_key(), round_key=key, taken_s=taken_s, captures=(capture,)
+                )
+            )
         assert [walk.key for walk in earlier_rounds(store, TUESDAY)] == [MONDAY]
         assert earlier_rounds(store, DEMONSTRATION) == []
 
@@ -208,7 +204,7 @@ def test_a_row_without_positions_counts_as_walked(store: Store) -> None:
 def test_fruit_marked_as_no_fruit_are_left_out(store: Store) -> None:
     [pipe] = save_stop(store, MONDAY, 1.0, {0.0: Length(0.10)})
     save_stop(store, TUESDAY, 1.0, {0.0: Length(0.10)})
-    store.set_verdict([pipe], Verdict.REJECTED)
+    store.set_verdict([pipe], records.Verdict.REJECTED)
     counts = compare(store, MONDAY, TUESDAY).counts()
     assert (counts.before, counts.after) == (0, 1)
 
@@ -218,7 +214,7 @@ def test_a_link_that_is_not_sure_is_offered_and_counts_once_it_is_confirmed(stor
     last = save_stop(store, TUESDAY, 1.0, {0.0: Length(0.13), 0.3: Length(0.12)})
     scores = (0.6, 0.9)
     links = [
-        LinkRecord(LinkKind.GROWTH, before, after, score)
+        records.LinkRecord(records.LinkKind.GROWTH, before, after, score)
         for before, after, score in zip(first, last, scores, strict=True)
     ]
     store.save_growth(MONDAY, TUESDAY, links)
@@ -243,7 +239,7 @@ def test_a_fruit_is_followed_through_the_days_between(store: Store) -> None:
     link(store, tuesday, wednesday)
     [fruit] = compare(store, MONDAY, TUESDAY, WEDNESDAY).changes
     assert fruit.growth_m_per_day == pytest.approx(0.03, abs=1e-6)
-    days: list[list[FruitRow]] = [
+    days: list[list[records.FruitRow]] = [
         fruit_days(store, read_round(store, round_key), key)
         for round_key, key in ((MONDAY, monday), (TUESDAY, tuesday), (WEDNESDAY, wednesday))
     ]

@@ -45,12 +45,12 @@ def stop(round_key: str, number: int, offsets: tuple[float, ...]) -> StopRecord:
         for n, x in enumerate(offsets, 1)
     )
     return StopRecord(
-        key_of(round_key, number),
-        round_key,
         "3",
         "right",
         0.4 * number,
-        step=number,
+        number,
+        key_of(round_key, number),
+        round_key,
         taken_s=float(number),
         captures=(CaptureRecord("a", fruit=fruit),),
     )
@@ -83,7 +83,9 @@ def test_unknown_lengths_count_in_no_figure_of_a_round_nor_its_forecast(tmp_path
     with open_store(tmp_path / "figures.db") as opened:
         opened.save_round(MONDAY)
         captures = (CaptureRecord("a", fruit=fruit),)
-        opened.save_stop(StopRecord(key_of("stop"), MONDAY.key, "1", captures=captures))
+        opened.save_stop(
+            StopRecord("1", key=key_of("stop"), round_key=MONDAY.key, captures=captures)
+        )
         content = read_round(opened, MONDAY.key)
     table = fruit_table(content)
     figures = round_figures(content, table)
@@ -103,7 +105,7 @@ def walked(store: Store, *fruit: FruitRow) -> list[str]:
     numbered = tuple(one.with_(fruit=number) for number, one in enumerate(fruit, 1))
     capture = CaptureRecord("a", width_px=64, height_px=48, fruit=numbered)
     store.save_round(Round(MORNING))
-    store.save_stop(StopRecord(key_of("stop"), MORNING, captures=(capture,)))
+    store.save_stop(StopRecord(key=key_of("stop"), round_key=MORNING, captures=(capture,)))
     return round_doubts(store.detections(MORNING))
 
 

@@ -2,31 +2,19 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
+from tests.greenhouse.rounds.conftest import SaveWalk
 from tests.simulated_rows import SimulatedRow, simulate_row
 
 from cucumbervision.capture.frames import Stop
 from cucumbervision.errors import RoundError
+from cucumbervision_greenhouse.rounds import merge_and_link
 from cucumbervision_greenhouse.rounds.forecasting import earlier_lengths
 from cucumbervision_greenhouse.rounds.fruit_table import read_round
-from cucumbervision_greenhouse.rounds.merge_and_link import (
-    delete_round,
-    earlier_rounds,
-    link_rounds,
-    move_rounds,
-    move_stop,
-    settle,
-    undo,
-)
 from cucumbervision_greenhouse.store.records import CaptureRecord, LinkKind, StopRecord, key_of
+from cucumbervision_greenhouse.store.repository import Store
 from cucumbervision_greenhouse.store.waiting import WaitingCaptures
-
-if TYPE_CHECKING:
-    from tests.greenhouse.rounds.conftest import SaveWalk
-
-    from cucumbervision_greenhouse.store.repository import Store
 
 MORNING = key_of("rounds", "morning")
 
@@ -38,7 +26,7 @@ def stops(store: Store, save_walk: SaveWalk) -> list[str]:
     return [stop.key for stop in store.stops(MORNING)]
 
 
-def test_a_stop_that_is_deleted_meanwhile_is_a_fault_in_words(
+def test_the_fruit_of_a_stop_that_is_deleted_meanwhile_are_not_linked(
     store: Store, stops: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     save, links = store.save_merging, []
@@ -50,9 +38,9 @@ def test_a_stop_that_is_deleted_meanwhile_is_a_fault_in_words(
         save(key, found, positions)  # type: ignore[arg-type]
 
     monkeypatch.setattr(store, "save_merging", deleted_before)
-    said = settle(store, MORNING)
+    assert merge_and_link.settle(store, MORNING) == ""
     assert links
-    assert "is not in the store" in said
+    assert store.links(MORNING) == []
 
 
 def test_a_round_that_is_deleted_meanwhile_is_named(store: Store) -> None:
@@ -61,32 +49,34 @@ def test_a_round_that_is_deleted_meanwhile_is_named(store: Store) -> None:
     store.save_round(later)
     store.delete_round(later.key)
     with pytest.raises(RoundError, match=f"there is no round {later.key}"):
-        link_rounds(store, MORNING, later.key)
+        merge_and_link.link_rounds(store, MORNING, later.key)
 
 
 def test_undoing_returns_the_round_whose_stop_was_moved(store: Store, stops: list[str]) -> None:
     store.place_stop(replace(store.stops(MORNING)[0], position_m=1.0))
     store.pick([store.detections(MORNING)[0].key])
-    assert undo(store, MORNING) == []
-    assert undo(store, MORNING) == [MORNING]
+    assert merge_and_link.undo(store, MORNING) == []
+    assert merge_and_link.undo(store, MORNING) == [MORNING]
 
 
 def test_a_stop_is_not_moved_to_where_another_is(store: Store) -> None:
     for step, side, at_m in ((1, "left", 0.0), (2, "left", 0.4), (3, "right", 0.4)):
-        store.save_stop(StopRecord(key_of(step), MORNING, "3", side, at_m, step=step))
+        store.save_stop(StopRecord("3", side, at_m, step, key_of(step), MORNING))
     second = store.stops(MORNING)[1]
     with pytest.raises(RoundError, match=r"stop 1 is at 0\.00 m of that row and side"):
-        move_stop(store, second, Stop("3", "left", 0.0, 2))
+        merge_and_link.move_stop(store, second, Stop("3", "left", 0.0, 2))
     with pytest.raises(RoundError, match="stop 3 is at"):
-        move_stop(store, second, Stop("3", "right", 0.4, 2))
-    move_stop(store, second, Stop("3", "left", 0.4, 2), "by the door")
+        merge_and_link.move_stop(store, second, Stop("3", "right", 0.4, 2))
+    merge_and_link.move_stop(store, second, Stop("3", "left", 0.4, 2), "by the door")
     # Another camera of the mast stands there too.
     capture = CaptureRecord("c", camera={"fx": 600.0})
     other = (replace(capture, camera={"fx": 601.0}),)
-    store.save_stop(StopRecord(key_of(4), MORNING, "5", "left", 0.0, step=4, captures=(capture,)))
-    store.save_stop(StopRecord(key_of(5), MORNING, "5", "left", 0.4, step=5, captures=other))
-    move_stop(store, store.stops(MORNING)[4], Stop("5", "left", 0.0, 5))
-    move_stop(store, store.stops(MORNING)[1], Stop("4", "left", 0.0, 2), "by the door")
+    store.save_stop(StopRecord("5", "left", 0.0, 4, key_of(4), MORNING, captures=(capture,)))
+    store.save_stop(StopRecord("5", "left", 0.4, 5, key_of(5), MORNING, captures=other))
+    merge_and_link.move_stop(store, store.stops(MORNING)[4], Stop("5", "left", 0.0, 5))
+    merge_and_link.move_stop(
+        store, store.stops(MORNING)[1], Stop("4", "left", 0.0, 2), "by the door"
+    )
     assert [(stop.row, stop.note) for stop in store.stops(MORNING)][1] == ("4", "by the door")
 
 
@@ -109,34 +99,23 @@ def three_days(store: Store, save_walk: SaveWalk) -> list[str]:
         grown = replace(walk.views, length_m=walk.views.length_m + 0.03 * day)
         save_walk(replace(walk, views=grown), one)
     for one in days:
-        assert settle(store, one.key) == ""
+        assert merge_and_link.settle(store, one.key) == ""
     return [one.key for one in days]
 
 
 def test_a_round_in_another_house_is_linked_there_alone(store: Store, save_walk: SaveWalk) -> None:
     first, second, third = three_days(store, save_walk)
     before = linked(store, first, second), linked(store, second, third)
-    assert set(move_rounds(store, [second], "another")) == {second, third}
+    assert set(merge_and_link.move_rounds(store, [second], "another")) == {second, third}
     assert (linked(store, first, second), linked(store, second, third)) == (set(), set())
     for key in (second, third):
-        assert settle(store, key) == ""
+        assert merge_and_link.settle(store, key) == ""
     assert linked(store, first, third)
-    changed = undo(store, second)
+    changed = merge_and_link.undo(store, second)
     assert set(changed) == {second, third}
     for key in changed:
-        assert settle(store, key) == ""
+        assert merge_and_link.settle(store, key) == ""
     assert (linked(store, first, second), linked(store, second, third)) == before
-    assert not linked(store, first, third)
-
-
-def test_merged_houses_are_linked_day_by_day(store: Store, save_walk: SaveWalk) -> None:
-    first, second, third = three_days(store, save_walk)
-    for key in move_rounds(store, [second], "another"):
-        settle(store, key)
-    for key in move_rounds(store, [first, third], "another"):
-        settle(store, key)
-    assert linked(store, first, second)
-    assert linked(store, second, third)
     assert not linked(store, first, third)
 
 
@@ -148,11 +127,11 @@ def test_a_round_that_is_brought_back_is_linked_as_before(
     assert all(before)
     assert not linked(store, first, third)
     waiting = WaitingCaptures(tmp_path / "waiting")
-    assert delete_round(store, second, waiting) == [third]
-    settle(store, third)
+    assert merge_and_link.delete_round(store, second, waiting) == [third]
+    merge_and_link.settle(store, third)
     assert linked(store, first, third)
     store.restore_round(second)
-    settle(store, second)
+    merge_and_link.settle(store, second)
     assert (linked(store, first, second), linked(store, second, third)) == before
     assert not linked(store, first, third)
 
@@ -175,8 +154,8 @@ def test_days_are_those_of_the_captures_whenever_a_round_was_begun(
         days.append(one.key)
     later, earlier = days
     assert {one.house for one in store.rounds() if one.key in days} == {"7"}
-    assert earlier_rounds(store, earlier) == []
-    assert settle(store, earlier) == settle(store, later) == ""
+    assert merge_and_link.earlier_rounds(store, earlier) == []
+    assert merge_and_link.settle(store, earlier) == merge_and_link.settle(store, later) == ""
     pairs = linked(store, earlier, later)
     assert len(pairs) == 12
     # Growth is that of one day, 3 cm, not of the second between two presses of 'New round'.

@@ -9,23 +9,18 @@ import pytest
 from tests.greenhouse.store.throwaway_postgres import missing_reason, throwaway_cluster
 
 from cucumbervision.methods.result import Length
-from cucumbervision_greenhouse.store.records import (
-    ArtifactRecord,
-    CaptureRecord,
-    FruitRow,
-    Round,
-    StopRecord,
-    key_of,
-)
+from cucumbervision_greenhouse.store import records
 from cucumbervision_greenhouse.store.repository import Store, open_store
 from cucumbervision_greenhouse.store.schema import METADATA
 
-WALK = Round(key_of("walk"), "morning", "house 1", 1000.0)
-NEXT_DAY = Round(key_of("next day"), "next morning", "house 1", 87400.0)
+WALK = records.Round(records.key_of("walk"), "morning", "house 1", 1000.0)
+NEXT_DAY = records.Round(records.key_of("next day"), "next morning", "house 1", 87400.0)
 
 
 class MakeStop(Protocol):
-    def __call__(self, step: int = ..., /, fruit: int = ..., **changes: Any) -> StopRecord: ...
+    def __call__(
+        self, step: int = ..., /, fruit: int = ..., **changes: Any
+    ) -> records.StopRecord: ...
 
 
 @pytest.fixture(scope="session")
@@ -92,9 +87,9 @@ def store(backend: str, request: pytest.FixtureRequest, tmp_path: Path) -> Itera
 def make_stop() -> MakeStop:
     """Return a maker of stops: fruit k of step s is (10 s + k) cm long and 0.1 k m along."""
 
-    def make(step: int = 0, /, fruit: int = 2, **changes: Any) -> StopRecord:
+    def make(step: int = 0, /, fruit: int = 2, **changes: Any) -> records.StopRecord:
         found = tuple(
-            FruitRow(
+            records.FruitRow(
                 k,
                 method="M6",
                 length=Length(0.1 * step + 0.01 * k),
@@ -112,7 +107,7 @@ def make_stop() -> MakeStop:
         )
         walk = changes.pop("round", WALK)
         values: dict[str, Any] = {
-            "key": key_of(walk.key, step),
+            "key": records.key_of(walk.key, step),
             "round_key": walk.key,
             "row": "3",
             "side": "left",
@@ -120,10 +115,10 @@ def make_stop() -> MakeStop:
             "position_sd_m": 0.04,
             "step": step,
             "taken_s": walk.started_s + step,
-            "captures": (CaptureRecord("a", camera={"fx_px": 600.0}, fruit=found),),
-            "artifacts": (ArtifactRecord("model", "detector", "ab", {"runtime": "x"}),),
+            "captures": (records.CaptureRecord("a", camera={"fx_px": 600.0}, fruit=found),),
+            "artifacts": (records.ArtifactRecord("model", "detector", "ab", {"runtime": "x"}),),
             "failures": ({"capture": "b", "error": "CaptureError"},),
         }
-        return StopRecord(**{**values, **changes})
+        return records.StopRecord(**{**values, **changes})
 
     return make

@@ -3,18 +3,15 @@ from __future__ import annotations
 import os
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
+from tests.greenhouse.store.conftest import MakeStop
 
 from cucumbervision_greenhouse.store.check import check_store
 from cucumbervision_greenhouse.store.records import CaptureRecord, key_of
 from cucumbervision_greenhouse.store.repository import Store
 
 WALK, NEXT_DAY = key_of("walk"), key_of("next day")
-
-if TYPE_CHECKING:
-    from tests.greenhouse.store.conftest import MakeStop
 
 
 def age(path: Path, seconds: float = 7200) -> Path:

@@ -195,7 +195,7 @@ def test_a_new_field_of_a_record_gets_its_column(address: str) -> None:
     capture = CaptureRecord("a", fruit=(FruitRow(1, length=Length(0.3), tilt_deg=4.0),))
     with open_store(address) as store:
         store.save_round(walk)
-        store.save_stop(StopRecord(stop, walk.key, captures=(capture,)))
+        store.save_stop(StopRecord(key=stop, round_key=walk.key, captures=(capture,)))
         # As if the software that made the store had not known this trait.
         with begin(store.engine, write=True) as connection:
             connection.execute(text("ALTER TABLE fruit DROP COLUMN tilt_deg"))
@@ -203,5 +203,5 @@ def test_a_new_field_of_a_record_gets_its_column(address: str) -> None:
         [old] = store.detections(walk.key)
         assert (old.length_m, old.tilt_deg) == (0.3, None)
         again = replace(capture, fruit=(FruitRow(1, tilt_deg=5.0),))
-        store.save_stop(StopRecord(key_of("next"), walk.key, captures=(again,)))
+        store.save_stop(StopRecord(key=key_of("next"), round_key=walk.key, captures=(again,)))
         assert store.detections(walk.key)[1].tilt_deg == 5.0

@@ -22,20 +22,16 @@ def images(tmp_path: Path) -> ImageStore:
     return ImageStore(tmp_path / "pictures")
 
 
-@pytest.fixture
-def color() -> np.ndarray[tuple[int, int, int], np.dtype[np.uint8]]:
-    return np.random.default_rng(0).integers(0, 256, (48, 64, 3), np.uint8)
+COLOR = np.random.default_rng(0).integers(0, 256, (48, 64, 3), np.uint8)
 
 
-def test_a_picture_is_named_by_its_content_and_comes_back_exactly(
-    images: ImageStore, color: np.ndarray[tuple[int, int, int], np.dtype[np.uint8]]
-) -> None:
-    ref = images.put_color(color)
+def test_a_picture_is_named_by_its_content_and_comes_back_exactly(images: ImageStore) -> None:
+    ref = images.put_color(COLOR)
     path = images.path(ref)
     data = path.read_bytes()
     assert ref == f"{hashlib.sha256(data).hexdigest()}.png"
     assert path.relative_to(images.folder).parts == (ref[:2], ref[2:4], ref)
-    np.testing.assert_array_equal(images.read_color(ref), color)
+    np.testing.assert_array_equal(images.read_color(ref), COLOR)
     assert list((images.folder / "writing").iterdir()) == []
 
 
@@ -62,13 +58,11 @@ def test_depth_comes_back_to_half_a_step_and_what_is_no_reading_as_0(images: Ima
     assert stored.tolist() == [[1000, 4545, 50000, 65535], [0, 0, 0, 0]]
 
 
-def test_the_same_picture_is_written_once(
-    images: ImageStore, color: np.ndarray[tuple[int, int, int], np.dtype[np.uint8]]
-) -> None:
-    path = images.path(images.put_color(color))
+def test_the_same_picture_is_written_once(images: ImageStore) -> None:
+    path = images.path(images.put_color(COLOR))
     os.utime(path, (1000.0, 1000.0))
     before = path.stat()
-    images.put_color(color)
+    images.put_color(COLOR)
     after = path.stat()
     assert after.st_ino == before.st_ino
     # Used just now: no check may take it for an orphan of long ago.
@@ -76,17 +70,15 @@ def test_the_same_picture_is_written_once(
     assert len(list(images.files())) == 1
 
 
-def test_a_damaged_picture_is_noticed_and_put_again_beside_it(
-    images: ImageStore, color: np.ndarray[tuple[int, int, int], np.dtype[np.uint8]]
-) -> None:
-    ref = images.put_color(color)
+def test_a_damaged_picture_is_noticed_and_put_again_beside_it(images: ImageStore) -> None:
+    ref = images.put_color(COLOR)
     path = images.path(ref)
     whole = path.read_bytes()
     path.write_bytes(whole[:-100])
     with pytest.raises(StoredImageError, match="its content does not match its name; copy"):
         images.read_color(ref)
-    images.put_color(color)
-    np.testing.assert_array_equal(images.read_color(ref), color)
+    images.put_color(COLOR)
+    np.testing.assert_array_equal(images.read_color(ref), COLOR)
     [damaged] = [p for p in images.files() if p != path]
     assert damaged.read_bytes() == whole[:-100]
 

@@ -1,8 +1,9 @@
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
+from tests.greenhouse.store.conftest import MakeStop
 
 from cucumbervision.errors import StoreError
 from cucumbervision.methods.result import Length
@@ -17,9 +18,6 @@ from cucumbervision_greenhouse.store.records import (
     new_key,
 )
 from cucumbervision_greenhouse.store.repository import Store
-
-if TYPE_CHECKING:
-    from tests.greenhouse.store.conftest import MakeStop
 
 WALK, NEXT_DAY = key_of("walk"), key_of("next day")
 
@@ -89,20 +87,6 @@ def test_every_action_can_be_taken_back(store: Store, keys: list[str], act: Any)
     assert undone.undone
 
 
-def test_undo_goes_back_step_by_step_and_then_says_that_there_is_no_more(
-    store: Store, keys: list[str]
-) -> None:
-    store.set_verdict(keys[:1], Verdict.ACCEPTED)
-    store.set_verdict(keys[:1], Verdict.REJECTED)
-    verdicts = []
-    for _ in range(2):
-        store.undo(WALK)
-        verdicts.append(store.detections(WALK)[0].verdict)
-    assert verdicts == [Verdict.ACCEPTED, None]
-    with pytest.raises(StoreError, match="nothing to undo"):
-        store.undo(WALK)
-
-
 def test_an_earlier_mark_is_taken_back_under_a_later_one(store: Store, keys: list[str]) -> None:
     first = store.set_verdict(keys[:1], Verdict.ACCEPTED)
     other = store.set_verdict(keys[1:2], Verdict.ACCEPTED)
@@ -131,12 +115,11 @@ def test_undo_is_of_the_round_that_was_named(store: Store, make_stop: MakeStop) 
 def test_a_corrected_fruit_stands_for_the_first_which_is_kept(
     store: Store, keys: list[str]
 ) -> None:
-    original = store.detection(keys[1]).capture.fruit[1]
+    original = store.detection(keys[1]).view
     corrected = original.with_(length=Length(0.333), mask="45", offset_m=0.7, flags="by-hand")
     store.signed("ana").correct(keys[1], corrected)
     detail = store.detection(keys[1])
     assert (detail.view.cells, detail.view.shape) == (corrected.cells, corrected.shape)
-    assert detail.capture.fruit[1] == original
     assert [line.kind for line in detail.log] == ["correct"]
     listed = store.detections(WALK)[1]
     assert listed.corrected
@@ -184,15 +167,6 @@ def test_the_best_view_of_a_fruit_represents_it(store: Store, keys: list[str]) -
         store.pick([])
 
 
-def test_more_fruit_than_a_command_takes_are_picked_at_once(
-    store: Store, make_stop: MakeStop, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("cucumbervision_greenhouse.store.marks._AT_ONCE", 3)
-    store.save_stop(make_stop(1, 8))
-    store.pick([detection.key for detection in store.detections(WALK)])
-    assert all(detection.picked_s for detection in store.detections(WALK))
-
-
 def test_a_fruit_added_by_hand_is_a_fruit_like_others_until_it_is_taken_back(
     store: Store, keys: list[str]
 ) -> None:
@@ -201,14 +175,13 @@ def test_a_fruit_added_by_hand_is_a_fruit_like_others_until_it_is_taken_back(
     added = store.signed("ana").add_fruit(stop, "a", record)
     *_, view = (detection for detection in store.detections(WALK) if detection.stop_key == stop)
     assert (view.key, view.fruit, view.verdict) == (added, 3, Verdict.ACCEPTED)
-    assert store.detection(added).capture.fruit[2] == record.with_(fruit=3)
-    assert [row.fruit for row in store.stop(stop).captures[0].fruit] == [1, 2, 3]
+    shaped = store.detection(added).view
+    assert (shaped.cells, shaped.shape) == (record.with_(fruit=3).cells, record.shape)
     assert [one.fruit for one in store.rounds() if one.key == WALK] == [5]
     assert [one.fruit for one in store.stops(WALK)] == [3, 2]
     assert [(line.kind, line.by) for line in store.log(WALK)] == [("add", "ana")]
     store.undo(WALK)
     assert said(store) == before
-    assert [row.fruit for row in store.stop(stop).captures[0].fruit] == [1, 2]
     assert [one.fruit for one in store.stops(WALK)] == [2, 2]
     for ask in (store.detection, lambda key: store.pick([key])):
         with pytest.raises(StoreError, match="is not in the store"):

@@ -1,26 +1,14 @@
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import pytest
+from tests.greenhouse.store.conftest import MakeStop
 
 from cucumbervision.errors import NameRefusedError, StoreConflictError, StoreError
+from cucumbervision_greenhouse.store import records
 from cucumbervision_greenhouse.store.check import check_store
-from cucumbervision_greenhouse.store.records import (
-    FruitRow,
-    LinkKind,
-    LinkRecord,
-    Round,
-    Saved,
-    StopRecord,
-    key_of,
-)
 from cucumbervision_greenhouse.store.repository import Store
 
-if TYPE_CHECKING:
-    from tests.greenhouse.store.conftest import MakeStop
-
-WALK, NEXT_DAY = key_of("walk"), key_of("next day")
+WALK, NEXT_DAY = records.key_of("walk"), records.key_of("next day")
 
 
 def placed(
@@ -31,8 +19,8 @@ def placed(
     step: int | None,
     note: str = "",
     mirrored: bool = False,
-) -> StopRecord:
-    return StopRecord(key, WALK, row, side, position_m, step=step, note=note, mirrored=mirrored)
+) -> records.StopRecord:
+    return records.StopRecord(row, side, position_m, step, key, WALK, note=note, mirrored=mirrored)
 
 
 @pytest.fixture
@@ -78,7 +66,7 @@ def test_fruit_of_a_mirrored_stop_lie_on_the_other_side_of_it(
 
 def test_a_deleted_stop_is_in_no_list_and_comes_back(store: Store, stops: list[str]) -> None:
     keys = [view.key for view in store.detections(WALK)]
-    store.save_merging(WALK, [LinkRecord(LinkKind.SAME, keys[0], keys[2], 0.9)])
+    store.save_merging(WALK, [records.LinkRecord(records.LinkKind.SAME, keys[0], keys[2], 0.9)])
     before = store.stops(WALK), store.detections(WALK), store.links(WALK), store.rounds()
     store.delete_stop(stops[1])
     assert [stop.key for stop in store.stops(WALK)] == stops[:1]
@@ -97,12 +85,12 @@ def test_a_deleted_stop_that_is_sent_again_stays_deleted(
     store: Store, stops: list[str], make_stop: MakeStop
 ) -> None:
     store.delete_stop(stops[0])
-    assert store.save_stop(make_stop(1)) is Saved.ALREADY_THERE
+    assert not store.save_stop(make_stop(1))
     assert [stop.key for stop in store.stops(WALK)] == stops[1:]
-    gone = [store.stop_is_deleted(key) for key in (*stops, key_of("nowhere"))]
+    gone = [store.stop_is_deleted(key) for key in (*stops, records.key_of("nowhere"))]
     assert gone == [True, False, None]
     with pytest.raises(StoreError, match="has no capture"):
-        store.add_fruit(stops[0], "a", FruitRow(1))
+        store.add_fruit(stops[0], "a", records.FruitRow(1))
 
 
 def test_an_edit_on_which_another_stands_is_undone_after_it(store: Store, stops: list[str]) -> None:
@@ -122,7 +110,7 @@ def test_rounds_move_to_another_house_and_back(store: Store, stops: list[str]) -
     assert {one.house for one in store.rounds()} == {"house 1"}
     assert store.move_rounds(both, "North") == 2
     assert store.move_rounds(both, "North") == 0
-    store.save_round(Round(key_of("south"), "south", "House South", 1000.0))
+    store.save_round(records.Round(records.key_of("south"), "south", "House South", 1000.0))
     # Another spelling of a house means that house; of its own it is a new spelling.
     assert store.move_rounds([WALK], "south") == 1
     assert store.move_rounds([NEXT_DAY], "house north") == 1
@@ -141,7 +129,7 @@ def test_a_round_is_renamed_deleted_and_brought_back(store: Store, stops: list[s
     store.rename_round(WALK, "evening")
     assert [one.name for one in store.rounds()] == ["next morning", "evening"]
     # Who began it may still send it under its first name.
-    assert store.save_round(Round(WALK, "morning", "house 1", 1000.0)) is Saved.ALREADY_THERE
+    assert not store.save_round(records.Round(WALK, "morning", "house 1", 1000.0))
     store.delete_round(WALK)
     assert [one.key for one in store.rounds()] == [NEXT_DAY]
     assert [one.key for one in store.rounds(deleted=True)] == [WALK]
@@ -152,4 +140,4 @@ def test_a_round_is_renamed_deleted_and_brought_back(store: Store, stops: list[s
     with pytest.raises(StoreError, match="is not deleted"):
         store.restore_round(WALK)
     with pytest.raises(StoreError, match="is not in the store"):
-        store.rename_round(key_of("nowhere"), "x")
+        store.rename_round(records.key_of("nowhere"), "x")

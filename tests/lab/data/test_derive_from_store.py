@@ -65,7 +65,9 @@ def save(store: Store, metre: float, round_key: str = WALK, *, pictures: bool = 
         depth=store.images.put_depth(np.full((HEIGHT, WIDTH), 0.5, np.float32)),
         fruit=tuple(find(k, 12 * k) for k in (1, 2, 3)),
     )
-    stop = StopRecord(new_key(), round_key, row="1", position_m=metre, captures=(capture,))
+    stop = StopRecord(
+        "1", key=new_key(), round_key=round_key, position_m=metre, captures=(capture,)
+    )
     store.save_stop(stop)
     return [
         detection.key for detection in store.detections(round_key) if detection.stop_key == stop.key

@@ -446,8 +446,6 @@ def _add_fruit(
 def _add_links(
     connection: Connection, kind: LinkKind, links: Sequence[LinkRecord], rounds: tuple[int, int]
 ) -> None:
-    if not links:
-        return
     fruit = select(FRUIT.c.key, FRUIT.c.id).where(FRUIT.c.round_id.in_(rounds), IS_ACTIVE)
     ids = {line.key: line.id for line in connection.execute(fruit)}
     lines = [
@@ -456,7 +454,8 @@ def _add_links(
         for link in links
         if link.first in ids and link.second in ids  # none was deleted meanwhile
     ]
-    connection.execute(insert(LINKS), lines)
+    if lines:
+        connection.execute(insert(LINKS), lines)
 
 
 def _stops_of(connection: Connection, which: Any) -> list[StopRecord]:

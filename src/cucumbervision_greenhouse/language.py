@@ -11,20 +11,17 @@ import gettext as catalogues
 import json
 import re
 import string
+from collections.abc import Callable, Mapping
 from contextvars import ContextVar
 from datetime import date, datetime
 from functools import lru_cache
 from html import escape
 from itertools import chain, count
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 from cucumbervision.errors import CucumberVisionError, Message
 from cucumbervision.names import readable
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
 
 LANGUAGES = {"en": "English", "nl": "Nederlands", "es": "Español"}
 """Languages of the pages by their codes; English is the source."""

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from html import escape
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from cucumbervision.crop.grades import UNDECIDED, class_name
+from cucumbervision.crop.grades import UNDECIDED, Grade, class_name
 from cucumbervision_greenhouse.fruit_pictures import PICTURE_FILES, class_color
 from cucumbervision_greenhouse.language import counted, number_words
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.rounds.poses import stored_pose
+from cucumbervision_greenhouse.settings import Units
+from cucumbervision_greenhouse.store.records import FruitRow, StopRecord
 from cucumbervision_greenhouse.words import (
     grade_words,
     label_words,
@@ -23,17 +26,8 @@ from cucumbervision_greenhouse.words import (
     row_and_side,
 )
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    from cucumbervision.crop.grades import Grade
-    from cucumbervision_greenhouse.settings import Units
-    from cucumbervision_greenhouse.store.records import FruitRow, StopRecord
-
-    Floats = NDArray[np.float64]
-    Box = tuple[float, float, float, float]
+Floats = NDArray[np.float64]
+Box = tuple[float, float, float, float]
 
 _REACH_MM = 500  # along the row: a camera shows the fruit this far from its stop
 _EDGE_MM, _TEXT_MM, _APART_MM = 120, 34, 30

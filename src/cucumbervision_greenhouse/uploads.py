@@ -10,15 +10,16 @@ import threading
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainSerializer, PlainValidator
 
 from cucumbervision.capture.camera_file import CameraModel
-from cucumbervision.capture.frames import LONGEST_ROW_M, Stop
+from cucumbervision.capture.frames import LONGEST_ROW_M, Capture, Stop
 from cucumbervision.capture.intrinsics import Intrinsics, Stream
 from cucumbervision.capture.pictures import COLOR_SUFFIXES, read_color
-from cucumbervision.capture.uploads import Limits, accept_uploads
+from cucumbervision.capture.source import CaptureSource, ReadOptions
+from cucumbervision.capture.uploads import AcceptedSource, Limits, accept_uploads
 from cucumbervision.errors import (
     CucumberVisionError,
     DiskFullError,
@@ -37,13 +38,8 @@ from cucumbervision_greenhouse.rounds.walking import (
 )
 from cucumbervision_greenhouse.settings import replace_text
 from cucumbervision_greenhouse.store.records import key_of
-
-if TYPE_CHECKING:
-    from cucumbervision.capture.frames import Capture
-    from cucumbervision.capture.source import CaptureSource, ReadOptions
-    from cucumbervision.capture.uploads import AcceptedSource
-    from cucumbervision_greenhouse.store.repository import Store
-    from cucumbervision_greenhouse.store.waiting import WaitingCaptures
+from cucumbervision_greenhouse.store.repository import Store
+from cucumbervision_greenhouse.store.waiting import WaitingCaptures
 
 MOST_FILES = 1000
 _ABOUT = "upload.json"

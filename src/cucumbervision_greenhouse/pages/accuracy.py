@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import csv
 import io
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from statistics import fmean
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import streamlit as st
 
@@ -27,19 +28,12 @@ from cucumbervision_greenhouse.language import decimal_words, number_words, plai
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.pages import calibrations, page_elements
 from cucumbervision_greenhouse.pages.page_elements import component
+from cucumbervision_greenhouse.round_view import RoundView
 from cucumbervision_greenhouse.rounds.fruit_table import fruit_table, read_round
-from cucumbervision_greenhouse.settings import replace_text, truth_folder
-from cucumbervision_greenhouse.store.records import Verdict
+from cucumbervision_greenhouse.settings import Units, replace_text, truth_folder
+from cucumbervision_greenhouse.store.records import CaptureRecord, FruitRow, StopRecord, Verdict
+from cucumbervision_greenhouse.store.repository import Store
 from cucumbervision_greenhouse.words import LENGTH_NAMES, length_words, position_words
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from cucumbervision_greenhouse.round_view import RoundView
-    from cucumbervision_greenhouse.settings import Units
-    from cucumbervision_greenhouse.store.records import CaptureRecord, FruitRow, StopRecord
-    from cucumbervision_greenhouse.store.repository import Store
-
 
 _LINES = 30
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import streamlit as st
 
@@ -15,27 +15,20 @@ from cucumbervision.accuracy.calibration_file import (
     read_site_calibration,
     write_site_calibration,
 )
+from cucumbervision.accuracy.own_truth import Measured
 from cucumbervision.accuracy.site_calibration import calibrate_camera, calibrate_lengths
+from cucumbervision.accuracy.truth import Truth
 from cucumbervision.capture.source import safe_name
 from cucumbervision.errors import CalibrationError, CucumberVisionError, Message
-from cucumbervision.methods.result import MethodName, calibration_key
+from cucumbervision.methods.result import LengthDefinition, MethodName, calibration_key
 from cucumbervision.names import checked_name
 from cucumbervision_greenhouse import resources
 from cucumbervision_greenhouse.language import counted, decimal_words, number_words, plain, sentence
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.pages import page_elements
 from cucumbervision_greenhouse.rounds.adding import stored_capture
-from cucumbervision_greenhouse.settings import truth_folder
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from cucumbervision.accuracy.own_truth import Measured
-    from cucumbervision.accuracy.truth import Truth
-    from cucumbervision.methods.result import LengthDefinition
-    from cucumbervision_greenhouse.settings import Units
-    from cucumbervision_greenhouse.store.repository import Store
-
+from cucumbervision_greenhouse.settings import Units, truth_folder
+from cucumbervision_greenhouse.store.repository import Store
 
 _GRID_MM = 1.0, 200.0, 10.0  # between the lines: least, most, usual
 

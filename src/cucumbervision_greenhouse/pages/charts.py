@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Iterable
 from datetime import date, timedelta
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import altair as alt
 import numpy as np
@@ -15,17 +16,13 @@ from altair.utils.schemapi import disable_debug_mode
 
 from cucumbervision.crop.grades import class_name
 from cucumbervision_greenhouse import words as texts
+from cucumbervision_greenhouse.forecast.forecast import Forecast
 from cucumbervision_greenhouse.forecast.picking import Span
 from cucumbervision_greenhouse.fruit_pictures import CLASS_GREENS, OTHER_COLORS
 from cucumbervision_greenhouse.language import day_month_words
 from cucumbervision_greenhouse.language import gettext as _
+from cucumbervision_greenhouse.settings import Units
 from cucumbervision_greenhouse.theme import ink
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from cucumbervision_greenhouse.forecast.forecast import Forecast
-    from cucumbervision_greenhouse.settings import Units
 
 # Checking each chart against Altair's schema takes longer than all other work of a page, and Vega
 # reports faults itself.

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 import unicodedata
+from collections.abc import Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import streamlit as st
 
@@ -21,10 +23,6 @@ from cucumbervision_greenhouse.pages import page_elements
 from cucumbervision_greenhouse.rounds.fruit_table import on_the_plant
 from cucumbervision_greenhouse.settings import replace_text
 from cucumbervision_greenhouse.words import class_words, label_words, round_name
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
 
 
 def draw() -> None:

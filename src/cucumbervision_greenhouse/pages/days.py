@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from datetime import date
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import streamlit as st
 
@@ -14,20 +15,17 @@ from cucumbervision_greenhouse.language import counted, marked, plain
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.pages import page_elements
 from cucumbervision_greenhouse.pages.round_choice import label_options
-from cucumbervision_greenhouse.rounds.day_comparison import Change, offered_pairs
+from cucumbervision_greenhouse.round_view import RoundView
+from cucumbervision_greenhouse.rounds.day_comparison import (
+    Change,
+    ChangeCounts,
+    DayComparison,
+    FruitChange,
+    offered_pairs,
+)
 from cucumbervision_greenhouse.rounds.merge_and_link import earlier_rounds
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from cucumbervision_greenhouse.round_view import RoundView
-    from cucumbervision_greenhouse.rounds.day_comparison import (
-        ChangeCounts,
-        DayComparison,
-        FruitChange,
-    )
-    from cucumbervision_greenhouse.settings import Units
-    from cucumbervision_greenhouse.store.records import FruitRow, Round
+from cucumbervision_greenhouse.settings import Units
+from cucumbervision_greenhouse.store.records import FruitRow, Round
 
 _SEASON = 200  # rounds in the chart
 _CHANGES = {

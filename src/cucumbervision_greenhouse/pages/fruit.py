@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlencode, urljoin
 
 import numpy as np
 import streamlit as st
+from numpy.typing import NDArray
 
-from cucumbervision.capture.frames import valid_depth
+from cucumbervision.capture.frames import Capture, valid_depth
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.fruit.instance import MaskSource
 from cucumbervision.fruit.mask_codes import decode_rle
@@ -22,20 +24,14 @@ from cucumbervision_greenhouse.language import counted, decimal_words, marked, p
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.pages import page_elements
 from cucumbervision_greenhouse.pages.accuracy import hand_file, hand_lengths
+from cucumbervision_greenhouse.round_view import RoundView
 from cucumbervision_greenhouse.rounds.adding import stored_calibration
 from cucumbervision_greenhouse.rounds.fruit_table import least_sure_first
-from cucumbervision_greenhouse.store.records import DetectionDetail, Verdict
+from cucumbervision_greenhouse.settings import Units
+from cucumbervision_greenhouse.store.records import DetectionDetail, FruitRow, Verdict
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     import pydeck
-    from numpy.typing import NDArray
-
-    from cucumbervision.capture.frames import Capture
-    from cucumbervision_greenhouse.round_view import RoundView
-    from cucumbervision_greenhouse.settings import Units
-    from cucumbervision_greenhouse.store.records import FruitRow
 
 
 def show(walk: RoundView, key: str, listed: Sequence[FruitRow]) -> None:

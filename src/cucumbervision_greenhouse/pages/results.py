@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
 from urllib.parse import urlencode
 
 import streamlit as st
@@ -16,19 +17,14 @@ from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.pages import fruit as fruit_page
 from cucumbervision_greenhouse.pages import page_elements
 from cucumbervision_greenhouse.pages.round_choice import label_options
+from cucumbervision_greenhouse.round_view import RoundView
 from cucumbervision_greenhouse.rounds.fruit_table import (
     hanging_lengths_m,
     on_the_plant,
     round_figures,
 )
 from cucumbervision_greenhouse.rounds.walking import is_demonstration
-from cucumbervision_greenhouse.store.records import Verdict
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
-
-    from cucumbervision_greenhouse.round_view import RoundView
-    from cucumbervision_greenhouse.store.records import FruitRow, Round
+from cucumbervision_greenhouse.store.records import FruitRow, Round, Verdict
 
 _FORMATS = {
     ExportFormat.XLSX: marked("Excel"),

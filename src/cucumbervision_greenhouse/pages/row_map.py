@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import streamlit as st
 
@@ -13,16 +14,12 @@ from cucumbervision_greenhouse.language import counted
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.pages import page_elements
 from cucumbervision_greenhouse.pages.round_choice import label_options
+from cucumbervision_greenhouse.round_view import RoundView
 from cucumbervision_greenhouse.rounds.fruit_table import least_sure_first
 from cucumbervision_greenhouse.rounds.merge_and_link import move_stop
 from cucumbervision_greenhouse.rounds.walking import sides_of
 from cucumbervision_greenhouse.row_drawing import sheet
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from cucumbervision_greenhouse.round_view import RoundView
-    from cucumbervision_greenhouse.store.records import StopRecord
+from cucumbervision_greenhouse.store.records import StopRecord
 
 
 @page_elements.of_round

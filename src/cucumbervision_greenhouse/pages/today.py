@@ -2,32 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from datetime import datetime
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import streamlit as st
 
 from cucumbervision_greenhouse import resources, round_view, tasks
 from cucumbervision_greenhouse import words as texts
-from cucumbervision_greenhouse.forecast.picking import PickKind, ready_on, work
+from cucumbervision_greenhouse.forecast.forecast import Forecast
+from cucumbervision_greenhouse.forecast.picking import Pick, PickKind, ready_on, work
 from cucumbervision_greenhouse.language import counted, marked, plain
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.pages import page_elements
 from cucumbervision_greenhouse.pages.page_elements import button
 from cucumbervision_greenhouse.pages.round_choice import label_options
-from cucumbervision_greenhouse.round_view import doubtful
-from cucumbervision_greenhouse.rounds.forecasting import Age
+from cucumbervision_greenhouse.round_view import RoundView, doubtful
+from cucumbervision_greenhouse.rounds.forecasting import Age, Today
 from cucumbervision_greenhouse.rounds.walking import is_demonstration
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from cucumbervision_greenhouse.forecast.forecast import Forecast
-    from cucumbervision_greenhouse.forecast.picking import Pick
-    from cucumbervision_greenhouse.round_view import RoundView
-    from cucumbervision_greenhouse.rounds.forecasting import Today
-    from cucumbervision_greenhouse.store.records import Round
+from cucumbervision_greenhouse.store.records import Round
 
 
 @page_elements.of_round

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import streamlit as st
 
@@ -15,14 +15,11 @@ from cucumbervision_greenhouse.language import counted, plain, sentence, words_o
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.pages import page_elements
 from cucumbervision_greenhouse.pages.page_elements import component
+from cucumbervision_greenhouse.round_view import RoundView
 from cucumbervision_greenhouse.rounds.walking import NextPlace, next_place, sides_of
-from cucumbervision_greenhouse.uploads import CAMERAS, MOST_FILES
+from cucumbervision_greenhouse.store.records import Round
+from cucumbervision_greenhouse.uploads import CAMERAS, MOST_FILES, Upload
 from cucumbervision_greenhouse.words import round_day, side_words
-
-if TYPE_CHECKING:
-    from cucumbervision_greenhouse.round_view import RoundView
-    from cucumbervision_greenhouse.store.records import Round
-    from cucumbervision_greenhouse.uploads import Upload
 
 _SHOWN = 5  # uploads whose outcomes are shown
 

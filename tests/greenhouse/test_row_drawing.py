@@ -9,7 +9,7 @@ from cucumbervision_greenhouse.row_drawing import draw_rows, sheet
 from cucumbervision_greenhouse.settings import Units
 from cucumbervision_greenhouse.store.records import FruitRow, StopRecord
 
-STOPS = [StopRecord(str(at), "", "1", "left", at, 0.0) for at in (0.5, 1.0, 3.0)]
+STOPS = [StopRecord("1", "left", at, key=str(at)) for at in (0.5, 1.0, 3.0)]
 
 
 def drawn(*fruit: FruitRow, **names: str) -> str:

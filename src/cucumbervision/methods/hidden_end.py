@@ -18,8 +18,7 @@ from cucumbervision.methods.result import HiddenLength
 from cucumbervision.tube.evidence import quick_median
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from cucumbervision.arrays import Array, Array32, Ints, Mask
     from cucumbervision.capture.intrinsics import Intrinsics
     from cucumbervision.methods.result import TubeFit
 
@@ -44,7 +43,7 @@ _DEPTH_FOCAL_RATIO = 0.69  # focal length of the depth camera relative to the co
 _BASELINE_M = 0.050
 
 
-def depth_noise(far_m: NDArray[np.float64], focal_px: float) -> NDArray[np.float64]:
+def depth_noise(far_m: Array, focal_px: float) -> Array:
     """Return a D4xx's RMS depth error at a distance, metres: z² s / (f B).
 
     Parameters
@@ -62,7 +61,7 @@ def depth_noise(far_m: NDArray[np.float64], focal_px: float) -> NDArray[np.float
     return far_m**2 * (_DISPARITY_RMS_PX / (focal_px * _DEPTH_FOCAL_RATIO * _BASELINE_M))
 
 
-def edge_error(inside_px: NDArray[np.float32]) -> NDArray[np.float64]:
+def edge_error(inside_px: Array32) -> Array:
     """Return the possible depth error towards the background, metres, by distance from the outline.
 
     A matching window across a small disparity step gives a value in between.
@@ -82,9 +81,7 @@ def edge_error(inside_px: NDArray[np.float32]) -> NDArray[np.float64]:
     return np.asarray(_EDGE_STEP_M * ndtr(-np.asarray(inside_px, np.float64) / _EDGE_SIGMA_PX))
 
 
-def noise_waves(
-    pixels: NDArray[np.intp], far_m: NDArray[np.float64], focal_px: float
-) -> NDArray[np.float64]:
+def noise_waves(pixels: Ints, far_m: Array, focal_px: float) -> Array:
     """Return the effect of each wave of smooth depth noise on each point.
 
     Stereo matching errors are smooth over a dozen pixels, so that a small fruit is shifted and
@@ -197,7 +194,7 @@ class BeyondEnd:
     behind: float = 0.0
 
 
-def with_hidden_end(fit: TubeFit, depth_m: NDArray[np.float32], intrinsics: Intrinsics) -> TubeFit:
+def with_hidden_end(fit: TubeFit, depth_m: Array32, intrinsics: Intrinsics) -> TubeFit:
     """Return a tube with the distribution of the whole length, if it can be estimated.
 
     This requires that exactly one end is hidden, by an object in the picture, and that most of the
@@ -224,11 +221,7 @@ def with_hidden_end(fit: TubeFit, depth_m: NDArray[np.float32], intrinsics: Intr
 
 
 def beyond_ends(
-    depth_m: NDArray[np.float32],
-    mask: NDArray[np.bool_],
-    intrinsics: Intrinsics,
-    centres_m: NDArray[np.float64],
-    radii_m: NDArray[np.float64],
+    depth_m: Array32, mask: Mask, intrinsics: Intrinsics, centres_m: Array, radii_m: Array
 ) -> tuple[BeyondEnd, BeyondEnd]:
     """Return the depth beyond the first and the last end of a body.
 
@@ -293,12 +286,12 @@ def beyond_ends(
     return ends[0], ends[1]
 
 
-def _unit(vector: NDArray[np.float64]) -> NDArray[np.float64]:
+def _unit(vector: Array) -> Array:
     return np.asarray(vector / max(float(np.linalg.norm(vector)), 1e-9))
 
 
 def covered_reach(
-    depth_m: NDArray[np.float32], intrinsics: Intrinsics, axis_m: NDArray[np.float64], end: int
+    depth_m: Array32, intrinsics: Intrinsics, axis_m: Array, end: int
 ) -> float | None:
     """Return how far a fruit could continue unseen beyond an end, metres.
 

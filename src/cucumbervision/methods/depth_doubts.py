@@ -538,8 +538,7 @@ def _layers(depth_m: Depth, body: _Body) -> Depth | None:
     """Return what is near (1) and far (-1), what is read, the mask and a ring around it, shrunk.
 
     Near is what lies before 1.3 apparent radii behind what is nearest along the fruit,
-    because the distance at the mask may be that of another object. What lies a radius in front of
-    that is no part of it, and counts as not read. None without a line.
+    because the distance at the mask may be that of another object. None without a line.
     """
     is_own = depth_m is body.depth_m
     read = body.read if is_own else valid_depth(depth_m)
@@ -547,9 +546,8 @@ def _layers(depth_m: Depth, body: _Body) -> Depth | None:
     if line is None:
         return None
     height, width = body.mask.shape
-    line_m = line[0] + line[1] * np.arange(width, dtype=np.float32)
-    limit_m = line_m * (1 + _NEAR_RADII * body.radius_m / body.distance_m)
-    read = read & (depth_m > line_m - body.radius_m)
+    limit_m = line[0] + line[1] * np.arange(width, dtype=np.float32)
+    limit_m *= 1 + _NEAR_RADII * body.radius_m / body.distance_m
     behind = np.where(depth_m < limit_m, np.float32(1), np.float32(-1)) * read
     scale = min(1.0, _SCORE_PX / body.radius_px)
     size = max(1, round(width * scale)), max(1, round(height * scale))

@@ -15,7 +15,7 @@ from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
-from scipy.special import expit, logit
+from scipy.special import expit, logit, softmax
 
 from cucumbervision.errors import ModelError
 from cucumbervision.fruit.crops import (
@@ -28,6 +28,7 @@ from cucumbervision.fruit.crops import (
     fruit_crop,
 )
 from cucumbervision.fruit.instance import (
+    LEAST_END_CONFIDENCE,
     UNKNOWN_ORDER,
     merge_instances,
     visible_mask,
@@ -103,6 +104,7 @@ LEAST_AGREEMENT = 0.6
 _RAISING, _LOWERING = 0.4, 0.8
 """Of the network's log-odds beside the detector's, both of which saw much the same images."""
 
+_FARTHER_PX = 4.0  # of the picture: half a pixel of a detector's mask
 _EVEN = 1.0
 """The network's log-odds that change no confidence: few of its crops show no fruit."""
 
@@ -321,13 +323,36 @@ def refined(
     """
     mask = instance.detector_mask
     if mask is not None:
-        shown = np.where(without_spurs(look.outline > 0), look.outline, -np.abs(look.outline))
+        shown = np.where(_without_stalk(crop, look), look.outline, -np.abs(look.outline))
         outline = crop.mask_in_picture(shown, (mask.shape[0], mask.shape[1]))
         for neighbour in neighbours:
             outline &= ~neighbour
         mask = outline if mask_iou(outline, mask) >= LEAST_AGREEMENT else mask
     points = np.column_stack([crop.to_picture(look.points[:, :2]), look.points[:, 2]])
     return stem_last(replace(instance, detector_mask=mask, keypoints=points), crop, look)
+
+
+def _without_stalk(crop: FruitCrop, look: FruitLook) -> Mask:
+    """Return a look's outline, which at a sure stem end goes little farther than the detector's.
+
+    Examples
+    --------
+    >>> from cucumbervision.fruit.crops import FruitCrop
+    >>> planes = np.zeros((HEIGHT_PX, WIDTH_PX, PLANES), np.uint8)
+    >>> planes[40:70, 60:200, -1] = 255
+    >>> outline = np.full((HEIGHT_PX, WIDTH_PX), -1.0, np.float32)
+    >>> outline[40:70, 40:200] = 1.0
+    >>> crop = FruitCrop(planes, np.zeros(2), np.array([1.0, 0.0]), 2.0)
+    >>> look = FruitLook(outline, np.zeros((5, 3)), 5.0, -3.0)
+    >>> np.flatnonzero(_without_stalk(crop, look).any(axis=0))[[0, -1]].tolist()
+    [58, 199]
+    """
+    outline = without_spurs(look.outline > 0)
+    if expit(abs(look.stem_last)) >= LEAST_END_CONFIDENCE:
+        to_stem = slice(None, None, 1 if look.stem_last > 0 else -1)
+        detected = np.flatnonzero((crop.planes[:, to_stem, -1] > 127).any(axis=0))
+        outline[:, to_stem][:, detected.max() + 1 + round(_FARTHER_PX / crop.step_px) :] = False
+    return outline
 
 
 def stem_last(instance: Instance, crop: FruitCrop, look: FruitLook) -> Instance:
@@ -347,8 +372,7 @@ def stem_last(instance: Instance, crop: FruitCrop, look: FruitLook) -> Instance:
         return instance
     run = np.diff(crop.to_crop(points[[0, -1], :2])[:, 0])[0]
     points = points if (run >= 0) == (look.stem_last >= 0) else points[::-1].copy()
-    sure = float(expit(abs(look.stem_last)))
-    return replace(instance, keypoints=points, end_confidence=sure)
+    return replace(instance, keypoints=points, end_confidence=float(expit(abs(look.stem_last))))
 
 
 STATES = ("true", "covered", "running on")
@@ -400,15 +424,13 @@ def looked_at(row: Array) -> EndLook:
     >>> round(look.covered, 2), [round(share, 3) for share in look.missing], look.stem
     (0.33, [-0.024, 0.0, 0.0, 0.024, 1.484], 0.5)
     """
-    states = np.exp(row[:3] - row[:3].max())
-    true, covered, running_on = (states / states.sum()).tolist()
-    shares = np.sort(ERROR_SCALE * np.sinh(row[3:8]))
+    true, covered, running_on = softmax(row[:3]).tolist()
     return EndLook(
         true=true,
         covered=covered,
         running_on=running_on,
-        missing=tuple(shares.tolist()),
-        stem=float(1 / (1 + np.exp(-row[8]))),
+        missing=tuple(np.sort(ERROR_SCALE * np.sinh(row[3:8])).tolist()),
+        stem=float(expit(row[8])),
     )
 
 

@@ -76,20 +76,14 @@ def _with_placed_keypoints(instance: Instance) -> Instance:
     line = None if body is None or axis is None else _line_along(body, axis)
     if body is None or axis is None or line is None:
         return instance
-    tips, tip_points = line[[0, -1]], points[[0, -1], :2]
-    if (
-        np.linalg.norm(tips - tip_points, axis=1).sum()
-        > np.linalg.norm(tips[::-1] - tip_points, axis=1).sum()
-    ):
-        tips = tips[::-1]
-    is_close = (
-        np.linalg.norm(tips - tip_points, axis=1)
-        <= _END_DISTANCE * arc_positions(points[:, :2])[-1]
-    )
+    ends = points[[0, -1], :2]
+    orders = [(np.linalg.norm(t - ends, axis=1), t) for t in (line[[0, -1]], line[[-1, 0]])]
+    off_px, tips = min(orders, key=lambda order: float(order[0].sum()))
+    is_close = off_px <= _END_DISTANCE * arc_positions(points[:, :2])[-1]
     if not is_close.any():
         return instance
     line = points[:, :2].copy()
-    line[[0, -1]] = np.where(is_close[:, None], tips, tip_points)
+    line[[0, -1]] = np.where(is_close[:, None], tips, ends)
     spread = _points_between(body, axis, line[[0, -1]]) if is_close.all() else None
     if spread is None:
         spread = points_along(line, KEYPOINT_SHARES)

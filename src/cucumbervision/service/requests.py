@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import re
 import socket
 import time
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import uvicorn
 from starlette.exceptions import HTTPException
@@ -22,7 +23,8 @@ if TYPE_CHECKING:
     from starlette.datastructures import Headers
     from starlette.types import ASGIApp, Message, Receive
 
-_MOST_CONNECTIONS = 512
+_MINUTE_S = 60.0
+_BACKLOG = 64  # so many are accepted before any of them can be closed
 _LEAVE_S = 5  # longest wait for open connections at the end
 _PORTS = {"http": 80, "https": 443}
 _PLACE = re.compile(
@@ -157,19 +159,62 @@ def bounded(
 
 
 class HeadLimit(H11Protocol):
-    """HTTP/1.1 that closes a connection without a whole head of a request after `head_s`."""
+    """HTTP/1.1 with limits for the number of connections and for the time of a request's head.
+
+    Where all connections are in use, the one that has waited longest for its head is closed: half
+    heads exclude nobody.
+    """
 
     head_s = 10.0
+    most_connections = 512
+    _headless: ClassVar[dict[HeadLimit, asyncio.TimerHandle]] = {}  # the oldest first
 
     def connection_made(self, transport: Any) -> None:
-        """Start the timeout of the first head; uvicorn's own ends a connection between requests."""
+        """Start the timeout of the first head; close the oldest if this is one too many."""
         super().connection_made(transport)
-        self.loop.call_later(self.head_s, self._close_without_head)
+        self._await_head()
+        if len(self.connections) > self.most_connections:
+            oldest = next(iter(self._headless))
+            oldest._forget()
+            oldest.transport.abort()
 
-    def _close_without_head(self) -> None:
-        cycle: Any = self.cycle  # None before the first request
-        if cycle is None and self.transport.get_protocol() is self:  # no web socket either
-            self.transport.close()
+    def data_received(self, data: bytes) -> None:
+        """Process data, and start or end the timeout of a head."""
+        super().data_received(data)
+        self._await_head()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Forget the connection."""
+        self._forget()
+        super().connection_lost(exc)
+
+    def _await_head(self) -> None:
+        cycle: Any = self.cycle  # the latest request; None before the first
+        is_socket = self.transport.get_protocol() is not self
+        if is_socket or (cycle is not None and not cycle.response_complete):
+            self._forget()
+        elif self not in self._headless:
+            timer = self.loop.call_later(self.head_s, self.transport.close)
+            self._headless[self] = timer
+
+    def _forget(self) -> None:
+        timer = self._headless.pop(self, None)
+        if timer is not None:
+            timer.cancel()
+
+
+class _OnceAMinute(logging.Filter):
+    """Passes a message once a minute: a flood of requests does not fill the disk."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._passed_s: dict[str, float] = {}
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Return whether a message is written."""
+        text, now_s = f"{record.msg}{record.exc_info and record.exc_info[1]!r}", time.monotonic()
+        self._passed_s = {key: at for key, at in self._passed_s.items() if now_s - at < _MINUTE_S}
+        return self._passed_s.setdefault(text, now_s) == now_s
 
 
 def listen(
@@ -209,11 +254,13 @@ def listen(
             source=address,
             remedy="end the program that uses it, or choose another --port",
         ) from None
+    for name in ("uvicorn.error", "asyncio"):
+        logging.getLogger(name).addFilter(_OnceAMinute())
     config = uvicorn.Config(
         app,
         http=HeadLimit,
         ws=sockets,
-        limit_concurrency=_MOST_CONNECTIONS,
+        backlog=_BACKLOG,
         log_level="warning",
         server_header=False,
         timeout_graceful_shutdown=_LEAVE_S,

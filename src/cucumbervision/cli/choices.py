@@ -37,18 +37,12 @@ _FAST = {"fast": "auto", "cuda-fast": "cuda", "tensorrt-fast": "tensorrt"}
 InputSize = Annotated[
     str,
     typer.Option(
-        help="Long side of the networks' input, pixels: a multiple of 32, or several separated by "
-        "commas, whose detections are merged. Default: each network's own.",
+        help="Long sides of the networks' input, multiples of 32. Default: each network's own.",
         metavar="PX[,PX]",
     ),
 ]
 Runtime = Annotated[RuntimeChoice, typer.Option(help="Runtime of the networks.")]
-Burst = Annotated[
-    int,
-    typer.Option(
-        min=1, max=99, help="Number of frames of a recording or camera fused to one capture."
-    ),
-]
+Burst = Annotated[int, typer.Option(min=1, max=99, help="Number of frames fused to one capture.")]
 
 OF_CAMERA_FILE = frozenset({"depth_unit", "depth_along", "aligned_to"})
 """Options of `measure_options` that the intrinsics file can hold instead."""
@@ -65,9 +59,7 @@ def measure_options(
     classes: Annotated[
         str,
         typer.Option(
-            help="Classes to measure, separated by commas, as the file or network names them. "
-            "Default: all.",
-            metavar="NAME[,NAME]",
+            help="Classes to measure, as the file or network names them.", metavar="NAME[,NAME]"
         ),
     ] = "",
     pose: Annotated[
@@ -87,8 +79,7 @@ def measure_options(
     segmenter: Annotated[
         str | None,
         typer.Option(
-            help="Network that draws the masks (`models list` names them), or none; also redraws a "
-            "data set's own masks. Default: mobile-sam, where the detector's mask fits badly.",
+            help="Network for all masks, or none. Default: mobile-sam, where others fit badly.",
             show_default=False,
         ),
     ] = None,
@@ -99,23 +90,20 @@ def measure_options(
         Path | None, typer.Option(help="Intrinsics file (JSON) of the colour stream.")
     ] = None,
     depth: Annotated[
-        Path | None, typer.Option(help="Depth picture, if INPUT is a colour picture.")
+        Path | None, typer.Option(help="Depth image, if INPUT is a colour image.")
     ] = None,
     depth_unit: Annotated[
         float | None, typer.Option(min=1e-6, help="Metres per depth step, such as 0.001.")
     ] = None,
     depth_along: Annotated[
         DepthAlong | None,
-        typer.Option(
-            help="Whether depth is along the optical axis, as cameras write it, or the distance "
-            "along each pixel's ray, as simulators do. Default: as the camera file says, else axis."
-        ),
+        typer.Option(help="Direction of depth: optical axis (default), or each pixel's ray."),
     ] = None,
     aligned_to: Annotated[
         Stream | None,
         typer.Option(
-            help="Camera whose pixels both pictures have: depth, if colour was aligned to depth; "
-            "color, also if depth has the same field of view in fewer pixels."
+            help="Camera whose pixels both images have: depth, if colour was aligned to it; color, "
+            "also if depth has the same field of view in fewer pixels."
         ),
     ] = None,
     burst: Burst = 5,
@@ -123,26 +111,19 @@ def measure_options(
         Path | None, typer.Option(help="Site calibration from `cucumbervision calibrate`.")
     ] = None,
     profile: Annotated[
-        str,
-        typer.Option(
-            help="Crop profile, or a crop's folder with networks of its own; lengths outside its "
-            "range are rejected."
-        ),
+        str, typer.Option(help="Crop profile, or a crop's folder with networks of its own.")
     ] = "long-cucumber",
     input_size: InputSize = "",
     runtime: Annotated[
         Literal[RuntimeChoice, "fast", "cuda-fast", "tensorrt-fast"],
         typer.Option(
-            help="Runtime of the networks. fast: auto in half precision, if the processor supports "
-            "it, so too on a card; outlines and lengths may then differ slightly between machines."
+            help="Runtime of the networks. fast: half precision, if the processor or GPU supports "
+            "it; lengths may then differ slightly between machines."
         ),
     ] = "auto",
     camera_up: Annotated[
         Literal["top", "left", "right", "bottom"] | None,
-        typer.Option(
-            help="The picture's edge that is up, for a camera mounted about level before hanging "
-            "fruit: the upper end is then the stem's."
-        ),
+        typer.Option(help="The image's edge that is up, if the camera is level and fruit hang."),
     ] = None,
 ) -> MeasureOptions:
     """Return the measuring options of a command."""

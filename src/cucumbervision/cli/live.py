@@ -136,12 +136,8 @@ def print_recording(
     return exit_code(count, failures)
 
 
-Serial = Annotated[
-    str | None, typer.Option(help="Serial number of the camera; default: the first one found.")
-]
-Retries = Annotated[
-    int, typer.Option(min=0, help="Number of attempts to reconnect to a disconnected camera.")
-]
+Serial = Annotated[str | None, typer.Option(help="The camera's serial number; default: any.")]
+Retries = Annotated[int, typer.Option(min=0, help="Attempts to reconnect to a lost camera.")]
 Preset: TypeAlias = Literal["default", "hand", "high-accuracy", "high-density", "medium-density"]
 
 
@@ -157,9 +153,7 @@ def stream(
     fast: Annotated[
         bool,
         typer.Option(
-            "--fast",
-            help="Faster: the detector's masks at 640 pixels, no SAM, no keypoints, half "
-            "precision if the processor supports it, and one fruit measured per frame.",
+            "--fast", help="Masks at 640 pixels, no SAM or keypoints, one fruit measured a frame."
         ),
     ] = False,
     follow: Annotated[
@@ -172,8 +166,7 @@ def stream(
     fps: Annotated[int, typer.Option(min=1, max=90, help="Frame rate of the camera.")] = 15,
     retries: Retries = 3,
     frames: Annotated[
-        int | None,
-        typer.Option(min=1, help="Stop after this number of frames.", show_default=False),
+        int | None, typer.Option(min=1, help="Number of frames.", show_default=False)
     ] = None,
     quiet: Quiet = False,
     *,
@@ -209,19 +202,13 @@ def record(
     serial: Serial = None,
     folder: Annotated[
         Path | None,
-        typer.Option(
-            "--from",
-            help="Folder that another program writes captures to, instead of a camera.",
-            show_default=False,
-        ),
+        typer.Option("--from", help="Folder that another program fills.", show_default=False),
     ] = None,
     every_s: Annotated[
-        float | None,
-        typer.Option(min=0.0, help="Seconds between captures; without it, press Enter for each."),
+        float | None, typer.Option(min=0.0, help="Seconds between captures; default: by Enter.")
     ] = None,
     count: Annotated[
-        int | None,
-        typer.Option(min=1, help="Stop after this number of captures.", show_default=False),
+        int | None, typer.Option(min=1, help="Number of captures.", show_default=False)
     ] = None,
     burst: Burst = 5,
     row: Annotated[str | None, typer.Option(help="Row in the house.")] = None,
@@ -232,8 +219,7 @@ def record(
     step: Annotated[float, typer.Option(help="Metres from one capture to the next.")] = 0.0,
     name: Annotated[str, typer.Option(help="Prefix of the captures' names.")] = "capture",
     preset: Annotated[
-        Preset | None,
-        typer.Option(help="Preset of the depth camera; default: the camera's current one."),
+        Preset | None, typer.Option(help="Preset of the depth camera; default: the current one.")
     ] = None,
     exposure: Annotated[
         float | None,

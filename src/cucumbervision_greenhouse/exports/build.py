@@ -277,7 +277,7 @@ def _remarks(fruit: FruitRow) -> str:
     bound = fruit.at_least and fruit.length_m is not None
     parts = (
         "picked" if fruit.picked_s else "",
-        "drawn, not grown" if fruit.simulated else "",
+        "computer-made" if fruit.simulated else "",
         flag_remarks(
             fruit.flags, f"at least {100 * (fruit.length_m or 0):.1f} cm" if bound else ""
         ),

@@ -251,7 +251,7 @@ def _drawings(tables: RoundTables, units: Units) -> Iterator[tuple[str, str]]:
 
 def _remarks(fruit: FruitRow, units: Units) -> str:
     picked = _("picked") if fruit.picked_s else ""
-    drawn = _("drawn, not grown") if fruit.simulated else ""
+    drawn = _("computer-made") if fruit.simulated else ""
     return "; ".join(filter(None, (picked, drawn, texts.remarks(fruit, units))))
 
 

@@ -9,13 +9,11 @@ from __future__ import annotations
 import errno
 import re
 import traceback
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from numbers import Integral, Real
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+from typing import Any, Self
 
 
 class Message(str):

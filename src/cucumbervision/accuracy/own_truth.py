@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -33,10 +34,6 @@ from cucumbervision.errors import (
 from cucumbervision.files import read_json, write_csv
 from cucumbervision.methods.flags import LOWER_BOUND, NO_DEPTH
 from cucumbervision.methods.result import LengthDefinition, MethodName, calibration_key
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
 
 _KIND_OF = {calibration_key(MethodName.M6, kind): kind for kind in LengthDefinition}
 

@@ -4,22 +4,18 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Protocol, Self
+from pathlib import Path
+from typing import Any, Protocol, Self
 
 import numpy as np
 
 from cucumbervision.capture.frames import Capture, Stop, still_px, valid_depth
 from cucumbervision.capture.readers import ReadOptions, open_source
 from cucumbervision.capture.readers.native import write_native
-from cucumbervision.capture.source import safe_name, unique_name
+from cucumbervision.capture.source import CaptureRef, safe_name, unique_name
 from cucumbervision.errors import CameraError, CaptureError, CucumberVisionError, named_error
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
-    from pathlib import Path
-
-    from cucumbervision.capture.source import CaptureRef
 
 
 class RgbdCamera(Protocol):

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from cucumbervision.errors import Message
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
 
 
 class Flag(StrEnum):

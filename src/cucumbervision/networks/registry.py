@@ -11,15 +11,13 @@ import json
 import os
 import shutil
 import tomllib
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from cucumbervision.errors import ModelError, ModelHashError, UnknownModelError, wrap_reader_errors
 from cucumbervision.files import parse_model, read_json, write_bytes
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 
 @dataclass(frozen=True)

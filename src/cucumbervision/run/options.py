@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
+from typing import Any, Self, get_args
 
 from cucumbervision.capture.source import ReadOptions
 from cucumbervision.crop.profiles import PACK_PROFILE, CropProfile, load_profile
@@ -21,21 +22,13 @@ from cucumbervision.errors import (
 from cucumbervision.files import json_value, read_json
 from cucumbervision.methods.pose import CUT_BEYOND_M
 from cucumbervision.methods.result import LengthDefinition, Selector
-from cucumbervision.methods.table import TableMethod, plugin_of
+from cucumbervision.methods.table import Method, TableMethod, Trait, plugin_of
 from cucumbervision.networks import DEFAULT_CONFIDENCE
 from cucumbervision.networks.registry import file_sha256
 from cucumbervision.networks.runtime import RUNTIMES
 from cucumbervision.networks.sam import PROMPTS
-from cucumbervision.plugins import Kind, Plugin, faults, plugins
-from cucumbervision.run.fields import fields_with, trait_field
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from typing import Self
-
-    from cucumbervision.methods.table import Method, Trait
-    from cucumbervision.plugins import Detector, Segmenter
-    from cucumbervision.run.fields import Field
+from cucumbervision.plugins import Detector, Kind, Plugin, Segmenter, faults, plugins
+from cucumbervision.run.fields import Field, fields_with, trait_field
 
 GRAVITY_BY_EDGE = {
     "top": (0.0, 1.0, 0.0),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -12,10 +11,7 @@ from scipy.special import ndtri
 
 from cucumbervision.capture.intrinsics import Intrinsics, Stream, color_sources
 from cucumbervision_lab.arrays import Array32, Generator, Mask, Pixels
-from cucumbervision_lab.scenes.scene import Kind, ray_grid, render
-
-if TYPE_CHECKING:
-    from cucumbervision_lab.scenes.scene import Scene, View
+from cucumbervision_lab.scenes.scene import Kind, Scene, View, ray_grid, render
 
 _COARSE_SIGMA = 1.5  # least blur on a coarse grid, px, for smooth cubic upsampling
 

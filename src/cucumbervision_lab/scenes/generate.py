@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -18,22 +19,16 @@ from cucumbervision.files import read_json
 from cucumbervision.tube.shape import arc_positions, points_along
 from cucumbervision_lab.arrays import Array, Array32, Generator, Pixels
 from cucumbervision_lab.data.coco import coco_entries, read_coco, write_annotations
-from cucumbervision_lab.data.labels import Label, LabelledPicture
+from cucumbervision_lab.data.labels import DataSet, Label, LabelledPicture
 from cucumbervision_lab.processes import kept_rows
 from cucumbervision_lab.scenes.colors import expose, palette, random_exposure
 from cucumbervision_lab.scenes.compose import HARD, PLAIN, Composition, Setting, compose
 from cucumbervision_lab.scenes.depth_camera import VGA, D4xx, sense
-from cucumbervision_lab.scenes.paste import cutouts_of, fruitless, montage
+from cucumbervision_lab.scenes.paste import Cutout, cutouts_of, fruitless, montage
 from cucumbervision_lab.scenes.scene import FruitTruth, render, truth_of
 from cucumbervision_lab.scenes.shading import Style, random_style, shade
 from cucumbervision_lab.scenes.skin import Skin
 from cucumbervision_lab.scenes.textures import Assets, load_assets
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from cucumbervision_lab.data.labels import DataSet
-    from cucumbervision_lab.scenes.paste import Cutout
 
 _BURST = 3
 _VGA_SHARE = 0.5  # of the frames with depth

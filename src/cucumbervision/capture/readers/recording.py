@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from cucumbervision.capture.camera_file import read_camera_file
-from cucumbervision.capture.intrinsics import DepthAlong, Stream
+from cucumbervision.capture.intrinsics import DepthAlong, Intrinsics, Stream
 from cucumbervision.capture.readers.common import choose_intrinsics
 from cucumbervision.capture.realsense import (
     AlignedFrame,
@@ -17,12 +19,6 @@ from cucumbervision.capture.realsense import (
 )
 from cucumbervision.capture.source import CaptureRef, CaptureSource, ReadOptions, fail, safe_name
 from cucumbervision.errors import CaptureError
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
-    from cucumbervision.capture.intrinsics import Intrinsics
 
 
 def open_recording(path: Path, options: ReadOptions) -> CaptureSource:

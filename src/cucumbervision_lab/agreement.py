@@ -5,22 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
-from cucumbervision.accuracy.own_truth import REPORTED, comparable
+from cucumbervision.accuracy.own_truth import REPORTED, Measured, OwnTruth, Reading, comparable
 from cucumbervision.accuracy.statistics import ReportTable
+from cucumbervision.accuracy.truth import TrueLength
 from cucumbervision.methods.result import LengthDefinition
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import ArrayLike, NDArray
-
-    from cucumbervision.accuracy.own_truth import Measured, OwnTruth, Reading
-    from cucumbervision.accuracy.truth import TrueLength
 
 _LEAST_PAIRS = 3
 _WANTED_CM = 0.1  # to which the mean difference is to be known

@@ -6,15 +6,18 @@ import hashlib
 import json
 from dataclasses import replace
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any, Literal
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 from pydantic import ConfigDict, Field
 
 from cucumbervision.about import code_sha256
+from cucumbervision.arrays import Array
 from cucumbervision.capture.camera_file import CameraModel, StrictModel
 from cucumbervision.capture.frames import Capture
-from cucumbervision.capture.intrinsics import Distortion
+from cucumbervision.capture.intrinsics import Distortion, Intrinsics
 from cucumbervision.errors import CalibrationError, wrap_os_errors
 from cucumbervision.files import parse_model, read_json, replacing
 from cucumbervision.methods.flags import LOWER_BOUND, NO_DEPTH, Flag
@@ -26,15 +29,6 @@ from cucumbervision.methods.result import (
     calibration_key,
 )
 from cucumbervision.names import checked_name
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import ArrayLike
-
-    from cucumbervision.arrays import Array
-    from cucumbervision.capture.intrinsics import Intrinsics
-
 
 _FORMAT = "cucumbervision-calibration"
 _CAMERA_TOLERANCE_PX = 0.01

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from cucumbervision._version import __version__
 from cucumbervision.accuracy.calibration_file import (
@@ -17,23 +19,14 @@ from cucumbervision.accuracy.calibration_file import (
     corrected,
 )
 from cucumbervision.accuracy.grid import LEAST_CROSSINGS, fit_grid
-from cucumbervision.accuracy.own_truth import REPORTED, comparable, match_truth
-from cucumbervision.accuracy.truth import floor_of
+from cucumbervision.accuracy.own_truth import REPORTED, Measured, Reading, comparable, match_truth
+from cucumbervision.accuracy.truth import TrueLength, Truth, floor_of
+from cucumbervision.arrays import Array, Ints
 from cucumbervision.capture.camera_file import CameraModel
+from cucumbervision.capture.frames import Capture
 from cucumbervision.errors import CalibrationError, wrap_reader_errors
 from cucumbervision.files import parse_model
 from cucumbervision.methods.result import LengthDefinition
-
-if TYPE_CHECKING:
-    from collections.abc import Hashable, Iterable, Mapping, Sequence
-
-    from numpy.typing import ArrayLike, NDArray
-
-    from cucumbervision.accuracy.own_truth import Measured, Reading
-    from cucumbervision.accuracy.truth import TrueLength, Truth
-    from cucumbervision.arrays import Array, Ints
-    from cucumbervision.capture.frames import Capture
-
 
 _WORST_SCALE = 0.10
 _PLANE_ERROR = 0.002  # systematic relative error of a plane's depth

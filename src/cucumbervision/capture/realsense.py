@@ -5,22 +5,18 @@ from __future__ import annotations
 import contextlib
 import threading
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Self
+from pathlib import Path
+from typing import Any, Self
 
 import numpy as np
 
+from cucumbervision.arrays import Array32, Pixels
 from cucumbervision.capture.frames import Capture, Stop, fuse_burst
 from cucumbervision.capture.intrinsics import Distortion, Intrinsics, Stream
 from cucumbervision.capture.pictures import require_readings, scale_depth
 from cucumbervision.errors import CameraError, CaptureError, MissingExtraError
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
-    from cucumbervision.arrays import Array32, Pixels
-
 
 _STEP_MS = 200
 

@@ -8,12 +8,14 @@ import shutil
 import unicodedata
 import uuid
 import zipfile
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path, PurePosixPath
-from typing import IO, TYPE_CHECKING, Any, BinaryIO
+from typing import IO, Any, BinaryIO
 
+from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.pictures import COLOR_SUFFIXES, DEPTH_SUFFIXES
 from cucumbervision.capture.readers import (
     RECORDING_SUFFIXES,
@@ -30,11 +32,6 @@ from cucumbervision.errors import (
     wrap_os_errors,
     wrap_reader_errors,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    from cucumbervision.capture.frames import Capture
 
 LOOSE = "upload"
 """Title of files that were not sent in a zip."""

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cucumbervision.arrays import Array, Array32, Ints, Mask, Pixels
 from cucumbervision.capture.frames import valid_depth
+from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.fruit.masks import distances_inside, mask_pixels, mask_window
 from cucumbervision.tube.shape import arc_positions
-
-if TYPE_CHECKING:
-    from cucumbervision.arrays import Array, Array32, Ints, Mask, Pixels
-    from cucumbervision.capture.intrinsics import Intrinsics
-
 
 HEIGHT_PX, WIDTH_PX = 112, 256
 """Size of a crop."""

@@ -9,25 +9,22 @@ from __future__ import annotations
 import logging
 import re
 from collections import defaultdict
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 from unicodedata import normalize
 from urllib.parse import unquote
 
 import numpy as np
 
+from cucumbervision.arrays import Array
 from cucumbervision.errors import CucumberVisionError, InstancesError, wrap_reader_errors
 from cucumbervision.files import read_json, read_text
 from cucumbervision.fruit.instance import Instance, MaskSource, in_picture
 from cucumbervision.fruit.mask_codes import mask_of_segmentation, polygon_points
 from cucumbervision.fruit.masks import box_iou, box_of_mask
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
-
-    from cucumbervision.arrays import Array
 
 _T = TypeVar("_T")
 _log = logging.getLogger(__name__)

@@ -8,20 +8,15 @@ shift a whole small fruit.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cucumbervision.arrays import Array, Array32, Ints, Mask
 from cucumbervision.capture.frames import valid_depth
+from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.methods.depth_doubts import LEAST_FILL
-from cucumbervision.methods.result import HiddenLength
+from cucumbervision.methods.result import HiddenLength, TubeFit
 from cucumbervision.tube.evidence import quick_median
-
-if TYPE_CHECKING:
-    from cucumbervision.arrays import Array, Array32, Ints, Mask
-    from cucumbervision.capture.intrinsics import Intrinsics
-    from cucumbervision.methods.result import TubeFit
-
 
 _DISPARITY_RMS_PX = 0.08  # within windows of 26 pixels
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from cucumbervision.capture.frames import valid_depth
+from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.fruit.masks import distances_inside, mask_window, without_specks
 from cucumbervision.methods.depth_doubts import LEAST_FILL
 from cucumbervision.methods.flags import Flag
@@ -48,11 +50,6 @@ from cucumbervision.tube.fit import (
     near_depths,
 )
 from cucumbervision.tube.shape import TubeShape, with_tips
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from cucumbervision.capture.intrinsics import Intrinsics
 
 _DEPTH_POINTS = 500
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cucumbervision.arrays import Array, Array32, Mask, Numbers
 from cucumbervision.capture.frames import valid_depth
+from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.methods.result import LengthKind, Measurement, MethodName, Reason
 from cucumbervision.methods.table import GATE_M, Region, TableMethod, box_pixels, or_else
 from cucumbervision.tube.evidence import valid_median
@@ -18,11 +19,6 @@ from cucumbervision.tube.shape import (
     natural_spline,
     polyline_length,
 )
-
-if TYPE_CHECKING:
-    from cucumbervision.arrays import Array, Array32, Mask, Numbers
-    from cucumbervision.capture.intrinsics import Intrinsics
-
 
 _paper_method = partial(TableMethod, is_paper=True)
 

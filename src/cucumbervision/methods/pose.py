@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.capture.frames import valid_depth
+from cucumbervision.arrays import Array
+from cucumbervision.capture.frames import Capture, valid_depth
+from cucumbervision.fruit.instance import Instance
 from cucumbervision.methods.flags import Flag
 from cucumbervision.methods.intervals import SCALE_SD
-from cucumbervision.methods.result import FruitPose, Part
+from cucumbervision.methods.result import FruitPose, Measurement, Part, TubeFit
 from cucumbervision.tube.fit import END_SHARE
 from cucumbervision.tube.shape import arc_positions, points_along
-
-if TYPE_CHECKING:
-    from cucumbervision.arrays import Array
-    from cucumbervision.capture.frames import Capture
-    from cucumbervision.fruit.instance import Instance
-    from cucumbervision.methods.result import Measurement, TubeFit
 
 CAMERA_FRAME = "camera_color_optical_frame"
 """Name of the coordinates of a capture that names none: x right, y down, z forward."""

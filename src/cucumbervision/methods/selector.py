@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
-from cucumbervision.capture.frames import valid_depth
+from cucumbervision.arrays import Array, Mask
+from cucumbervision.capture.frames import Capture, valid_depth
 from cucumbervision.fruit.crops import EndCrop, EndLook, end_crop
-from cucumbervision.fruit.instance import LEAST_END_CONFIDENCE, MaskSource
+from cucumbervision.fruit.instance import LEAST_END_CONFIDENCE, Instance, MaskSource
 from cucumbervision.fruit.masks import mask_pixels, mask_window
 from cucumbervision.methods.depth_doubts import depth_doubts
 from cucumbervision.methods.flags import Flag
@@ -28,17 +29,15 @@ from cucumbervision.methods.result import (
     Selector,
     calibration_key,
 )
-from cucumbervision.methods.table import AVAILABLE, Region, TableMethod, box_pixels, run_methods
+from cucumbervision.methods.table import (
+    AVAILABLE,
+    Method,
+    Region,
+    TableMethod,
+    box_pixels,
+    run_methods,
+)
 from cucumbervision.tube.compiled import OneThread
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
-    from cucumbervision.arrays import Array, Mask
-    from cucumbervision.capture.frames import Capture
-    from cucumbervision.fruit.instance import Instance
-    from cucumbervision.methods.table import Method
-
 
 # Below the 0.50 of M4: the package's pose network gives lower visibility even to visible ends.
 _IN_SIGHT = 0.40

@@ -2,28 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 
-from cucumbervision.capture.frames import valid_depth
+from cucumbervision.arrays import Array, Array32, Mask, Numbers
+from cucumbervision.capture.frames import Capture, valid_depth
+from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.errors import PluginError
 from cucumbervision.fruit.masks import mask_window
-from cucumbervision.methods.result import LengthDefinition, LengthKind, Measurement, Reason
+from cucumbervision.methods.result import (
+    Fruit,
+    LengthDefinition,
+    LengthKind,
+    Measurement,
+    Reason,
+    TraitValue,
+)
 from cucumbervision.plugins import Plugin, own, plugins
 from cucumbervision.tube.compiled import OneThread
 from cucumbervision.tube.shape import AlignedCloud, align_near
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
-
-    from cucumbervision.arrays import Array, Array32, Mask, Numbers
-    from cucumbervision.capture.frames import Capture
-    from cucumbervision.capture.intrinsics import Intrinsics
-    from cucumbervision.methods.result import Fruit, TraitValue
-
 
 _STRIDE = 2  # pixels, of a box
 

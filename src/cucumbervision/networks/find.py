@@ -9,14 +9,17 @@ from the left, decides whether it is the true end, and what is missing.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
+from pathlib import Path
 from pkgutil import resolve_name
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeVar
+from typing import Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
 from scipy.special import expit, logit, softmax
 
+from cucumbervision.arrays import Array, Array32, Mask, Pixels
 from cucumbervision.errors import ModelError
 from cucumbervision.fruit.crops import (
     END_PX,
@@ -25,11 +28,13 @@ from cucumbervision.fruit.crops import (
     WIDTH_PX,
     EndCrop,
     EndLook,
+    FruitCrop,
     fruit_crop,
 )
 from cucumbervision.fruit.instance import (
     LEAST_END_CONFIDENCE,
     UNKNOWN_ORDER,
+    Instance,
     merge_instances,
     visible_mask,
     with_disjoint_masks,
@@ -41,14 +46,6 @@ from cucumbervision.networks.registry import Registry, file_sha256, load_registr
 from cucumbervision.networks.runtime import input_planes, open_network, runtime_for_batches
 from cucumbervision.networks.yolo import SAME_IOU, YoloDetector, detector_floor, pose_floor
 from cucumbervision.plugins import Segmenter
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from pathlib import Path
-
-    from cucumbervision.arrays import Array, Array32, Mask, Pixels
-    from cucumbervision.fruit.crops import FruitCrop
-    from cucumbervision.fruit.instance import Instance
 
 
 class SmallNetwork:

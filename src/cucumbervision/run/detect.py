@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -19,19 +19,14 @@ from cucumbervision.capture.pictures import PHOTO_SUFFIXES, read_photo, write_jp
 from cucumbervision.capture.source import CaptureRef, safe_name, unique_name
 from cucumbervision.errors import CaptureError, wrap_os_errors
 from cucumbervision.files import write_bytes, write_csv, write_json
-from cucumbervision.fruit.instance import KEYPOINT_NAMES, SKELETON
+from cucumbervision.fruit.instance import KEYPOINT_NAMES, SKELETON, Instance
 from cucumbervision.fruit.mask_codes import encode_rle
+from cucumbervision.networks.registry import Registry
 from cucumbervision.run.batch import Item, Listed, Outcome, Worker, in_turn, measure_all
 from cucumbervision.run.measurer import Boundary, Failure, Measurer, exit_code
 from cucumbervision.run.options import MeasureOptions
 from cucumbervision.run.overlay import draw_detections
 from cucumbervision.run.tables import FAILURE_COLUMNS
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from cucumbervision.fruit.instance import Instance
-    from cucumbervision.networks.registry import Registry
 
 _JPEG_QUALITY = 90
 

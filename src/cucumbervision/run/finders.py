@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
+from cucumbervision.arrays import Array32, Pixels
+from cucumbervision.capture.frames import Capture
 from cucumbervision.errors import CucumberVisionError, InstancesError, PluginError
 from cucumbervision.fruit.instance import (
     MASK_FAILURES,
@@ -21,21 +23,13 @@ from cucumbervision.fruit.instance import (
 )
 from cucumbervision.fruit.masks import box_of_mask, is_box_mask, without_flower
 from cucumbervision.methods.m6 import fits_well, measure_m6
-from cucumbervision.methods.result import Selector
+from cucumbervision.methods.result import Measurement, Selector
 from cucumbervision.networks.find import NetworkLoader, PictureLooks
 from cucumbervision.networks.keypoint_axis import place_keypoints
 from cucumbervision.networks.registry import Registry, load_registry
-from cucumbervision.plugins import Kind, Plugin, plugins
+from cucumbervision.networks.yolo import YoloDetector
+from cucumbervision.plugins import Detector, Kind, Plugin, plugins
 from cucumbervision.run.options import INSTANCE_SOURCES, MeasureOptions, PlugIns
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from cucumbervision.arrays import Array32, Pixels
-    from cucumbervision.capture.frames import Capture
-    from cucumbervision.methods.result import Measurement
-    from cucumbervision.networks.yolo import YoloDetector
-    from cucumbervision.plugins import Detector
 
 _MAY_HOLD_FLOWERS = (MaskSource.SAM, MaskSource.SEGMENTER)
 

@@ -3,39 +3,39 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import zip_longest
-from typing import TYPE_CHECKING, Any, ClassVar
+from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
 
-from cucumbervision.accuracy.calibration_file import calibrated_capture, calibrated_fruit
+from cucumbervision.accuracy.calibration_file import (
+    SiteCalibration,
+    calibrated_capture,
+    calibrated_fruit,
+)
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
-from cucumbervision.errors import CaptureError, DiskFullError, InternalError, named_error
+from cucumbervision.errors import (
+    CaptureError,
+    CucumberVisionError,
+    DiskFullError,
+    InternalError,
+    named_error,
+)
+from cucumbervision.fruit.instance import Instance
 from cucumbervision.methods.flags import Flag
-from cucumbervision.methods.result import FIRST_LINE, Choice, Fruit, MethodName, Reason
+from cucumbervision.methods.result import FIRST_LINE, Choice, Fruit, Measurement, MethodName, Reason
 from cucumbervision.methods.selector import measure_fruit, with_end_looks
 from cucumbervision.methods.traits import with_traits
-from cucumbervision.networks.registry import load_registry
-from cucumbervision.run.fields import FIELDS, fruit_row
-from cucumbervision.run.finders import Finder
+from cucumbervision.networks.registry import Registry, load_registry
+from cucumbervision.run.fields import FIELDS, Cell, Field, fruit_row
+from cucumbervision.run.finders import Detections, Finder
 from cucumbervision.run.options import GRAVITY_BY_EDGE, MeasureOptions, PlugIns, RunPlugins
 from cucumbervision.tube.compiled import OneThread
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Mapping, Sequence
-    from pathlib import Path
-
-    from cucumbervision.accuracy.calibration_file import SiteCalibration
-    from cucumbervision.errors import CucumberVisionError
-    from cucumbervision.fruit.instance import Instance
-    from cucumbervision.methods.result import Measurement
-    from cucumbervision.networks.registry import Registry
-    from cucumbervision.run.fields import Cell, Field
-    from cucumbervision.run.finders import Detections
-
 
 _WARM_UP_PX = (640, 480)
 

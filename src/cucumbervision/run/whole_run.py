@@ -8,18 +8,20 @@ import platform
 import shutil
 import tempfile
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
 from cucumbervision.about import code_sha256, installed_versions, software
+from cucumbervision.accuracy.calibration_file import SiteCalibration
+from cucumbervision.capture.frames import Capture
 from cucumbervision.errors import CucumberVisionError, wrap_os_errors
 from cucumbervision.files import (
     as_path,
@@ -31,8 +33,8 @@ from cucumbervision.files import (
     with_retries,
     write_csv,
 )
-from cucumbervision.networks.registry import file_sha256
-from cucumbervision.plugins import plugins
+from cucumbervision.networks.registry import Registry, file_sha256
+from cucumbervision.plugins import Plugin, plugins
 from cucumbervision.run.batch import (
     Item,
     Listed,
@@ -46,6 +48,7 @@ from cucumbervision.run.batch import (
     list_captures,
     measure_all,
 )
+from cucumbervision.run.fields import Cell, Field
 from cucumbervision.run.measurer import (
     Boundary,
     CaptureResult,
@@ -54,7 +57,7 @@ from cucumbervision.run.measurer import (
     exit_code,
     plugin_failures,
 )
-from cucumbervision.run.options import INSTANCE_SOURCES
+from cucumbervision.run.options import INSTANCE_SOURCES, MeasureOptions
 from cucumbervision.run.tables import (
     FAILURE_COLUMNS,
     Summary,
@@ -65,17 +68,6 @@ from cucumbervision.run.tables import (
     write_workbook,
 )
 from cucumbervision.tube.compiled import kernel_name
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
-
-    from cucumbervision.accuracy.calibration_file import SiteCalibration
-    from cucumbervision.capture.frames import Capture
-    from cucumbervision.networks.registry import Registry
-    from cucumbervision.plugins import Plugin
-    from cucumbervision.run.fields import Cell, Field
-    from cucumbervision.run.options import MeasureOptions
-
 
 RECORDS = "records"
 """Folder of the records, a JSON file a capture."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, BinaryIO, Literal, TypeVar
+from typing import Annotated, Any, BinaryIO, Literal, TypeVar
 
 import anyio.from_thread
 from fastapi import FastAPI, File, Request, Response, UploadFile
@@ -31,6 +31,7 @@ from starlette.exceptions import HTTPException
 
 from cucumbervision._version import __version__
 from cucumbervision.about import software
+from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.source import CaptureRef
 from cucumbervision.capture.uploads import Limits, accept_uploads, clean_name, require_few
 from cucumbervision.errors import (
@@ -54,12 +55,8 @@ from cucumbervision.run.batch import (
 )
 from cucumbervision.run.detect import DetectedPicture, PictureWorker, read_picture
 from cucumbervision.run.fields import FIELDS, row_model
-from cucumbervision.run.measurer import Failure, Measurer
+from cucumbervision.run.measurer import CaptureResult, Failure, Measurer
 from cucumbervision.service.requests import RequestError, bounded, check_source
-
-if TYPE_CHECKING:
-    from cucumbervision.capture.frames import Capture
-    from cucumbervision.run.measurer import CaptureResult
 
 T = TypeVar("T")
 ReplyT = TypeVar("ReplyT", "MeasureReply", "DetectReply")

@@ -6,20 +6,17 @@ import io
 import json
 import tempfile
 import zipfile
+from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import urllib3
 
+from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.readers import RECORDING_SUFFIXES, open_source
 from cucumbervision.capture.readers.native import write_native
 from cucumbervision.capture.source import safe_name
 from cucumbervision.errors import CaptureError, CucumberVisionError, wrap_reader_errors
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from cucumbervision.capture.frames import Capture
 
 
 class ServiceError(CucumberVisionError):

@@ -12,35 +12,28 @@ import math
 import threading
 import time
 from collections import deque
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
 from queue import SimpleQueue
-from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar
+from typing import Any, Generic, Literal, TypeVar
 
-from cucumbervision.capture.camera import FolderCamera, captures_of
+from pydantic import BaseModel
+
+from cucumbervision.capture.camera import FolderCamera, RgbdCamera, captures_of
 from cucumbervision.capture.frames import Capture, moved_px
 from cucumbervision.capture.readers import RECORDING_SUFFIXES, ReadOptions
 from cucumbervision.capture.realsense import CameraConfig, RealSenseCamera
 from cucumbervision.methods.flags import is_length_unknown, is_lower_bound
-from cucumbervision.methods.result import Choice, FruitPose, MethodName
+from cucumbervision.methods.result import Choice, Fruit, FruitPose, Length, MethodName
 from cucumbervision.networks.runtime import CARD_RUNTIMES
 from cucumbervision.run.batch import cores, read_captures
-from cucumbervision.run.fields import FIELDS, Field, fruit_row, row_model
-from cucumbervision.run.measurer import Failure, Measurer
+from cucumbervision.run.fields import FIELDS, Cell, Field, fruit_row, row_model
+from cucumbervision.run.finders import Detections
+from cucumbervision.run.measurer import CaptureResult, Failure, Measurer
 from cucumbervision.run.options import MeasureOptions
 from cucumbervision.stream.tracks import Track, Tracker, same_place, sighting_of
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
-
-    from pydantic import BaseModel
-
-    from cucumbervision.capture.camera import RgbdCamera
-    from cucumbervision.methods.result import Fruit, Length
-    from cucumbervision.run.fields import Cell
-    from cucumbervision.run.finders import Detections
-    from cucumbervision.run.measurer import CaptureResult
 
 _CAMERA = "camera"
 _LONGEST_WAIT_S = 2.0  # between two frames: a recording may have been paused

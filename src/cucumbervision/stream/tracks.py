@@ -8,14 +8,16 @@ assigned once.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import count
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.capture.frames import valid_depth
-from cucumbervision.fruit.instance import visible_mask
+from cucumbervision.arrays import Array, Ints, Mask
+from cucumbervision.capture.frames import Capture, valid_depth
+from cucumbervision.capture.intrinsics import Intrinsics
+from cucumbervision.fruit.instance import Instance, visible_mask
 from cucumbervision.fruit.masks import mask_window
 from cucumbervision.methods.intervals import SCALE_SD
 from cucumbervision.methods.matching import (
@@ -25,17 +27,13 @@ from cucumbervision.methods.matching import (
     pooled_length,
     position_ratio,
 )
-from cucumbervision.methods.result import INTERVAL_Z, UNKNOWN_SD, Length, LengthDefinition
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from cucumbervision.arrays import Array, Ints, Mask
-    from cucumbervision.capture.frames import Capture
-    from cucumbervision.capture.intrinsics import Intrinsics
-    from cucumbervision.fruit.instance import Instance
-    from cucumbervision.methods.result import LengthKind
-
+from cucumbervision.methods.result import (
+    INTERVAL_Z,
+    UNKNOWN_SD,
+    Length,
+    LengthDefinition,
+    LengthKind,
+)
 
 FIXED = 0.95  # share of a length's variance common to all frames from one place
 _SAME_PLACE = 0.10  # of the distance: smaller movements of the camera count as one place

@@ -5,27 +5,27 @@ from __future__ import annotations
 import contextlib
 import io
 import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike, NDArray
 
 from cucumbervision.accuracy.statistics import Estimate, share
 from cucumbervision.fruit.masks import box_iou, box_ious, mask_iou, share_inside
 from cucumbervision_lab.arrays import Array, Mask
-from cucumbervision_lab.evaluate.pictures import Stage, coco_code, import_pycocotools
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from numpy.typing import ArrayLike, NDArray
-
-    from cucumbervision_lab.data.labels import DataSet, Label
-    from cucumbervision_lab.evaluate.pictures import Frame, Networks
-
+from cucumbervision_lab.data.labels import DataSet, Label
+from cucumbervision_lab.evaluate.pictures import (
+    Frame,
+    Networks,
+    Stage,
+    coco_code,
+    import_pycocotools,
+)
 
 _MIN_IOU = 0.5
 

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision_lab.arrays import Array, Generator
-from cucumbervision_lab.scenes.bodies import rotation
+from cucumbervision_lab.scenes.bodies import Tube, rotation
 from cucumbervision_lab.scenes.scene import (
+    Hit,
     Leaf,
     Plane,
     Scene,
@@ -18,13 +20,6 @@ from cucumbervision_lab.scenes.scene import (
     cast_tube,
     scaled_camera,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from cucumbervision.capture.intrinsics import Intrinsics
-    from cucumbervision_lab.scenes.bodies import Tube
-    from cucumbervision_lab.scenes.scene import Hit
 
 _COARSE = 0.5  # resolution factor of the search for a leaf's size
 

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field
 from functools import lru_cache, partial
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,16 +30,13 @@ from cucumbervision.run.measurer import Measurer
 from cucumbervision.run.options import MeasureOptions
 from cucumbervision.tube.shape import arc_positions, points_along
 from cucumbervision_lab.arrays import Array, Generator, Mask, Progress
-from cucumbervision_lab.data.labels import Label, LabelledPicture
+from cucumbervision_lab.data.labels import DataSet, Label, LabelledPicture
 from cucumbervision_lab.data.splits import is_held_out
 from cucumbervision_lab.evaluate.pictures import capture_of
 from cucumbervision_lab.processes import kept_rows
 from cucumbervision_lab.scenes.covers import FruitPicture, cover_end
+from cucumbervision_lab.scenes.paste import Cutout
 from cucumbervision_lab.train.fruit_crops import Crops, crops_of
-
-if TYPE_CHECKING:
-    from cucumbervision_lab.data.labels import DataSet
-    from cucumbervision_lab.scenes.paste import Cutout
 
 AXIS_POINTS = 33
 

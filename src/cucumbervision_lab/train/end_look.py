@@ -6,13 +6,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cucumbervision.fruit.crops import END_PX, PLANES, QUANTILES, EndCrop, EndLook
 from cucumbervision.methods import intervals
+from cucumbervision.methods.selector import LookAtEnds
 from cucumbervision.networks.find import ERROR_SCALE, STATES, EndLooker, looked_at
 from cucumbervision_lab.evaluate.benchmark import (
     TUBE_FEATURES,
@@ -20,13 +21,8 @@ from cucumbervision_lab.evaluate.benchmark import (
     write_interval_models,
 )
 from cucumbervision_lab.train import classifier
-from cucumbervision_lab.train.end_crops import states_of
-
-if TYPE_CHECKING:
-    from cucumbervision.methods.selector import LookAtEnds
-    from cucumbervision_lab.train.end_crops import MeasuredFruit
-    from cucumbervision_lab.train.fruit_crops import Crops
-
+from cucumbervision_lab.train.end_crops import MeasuredFruit, states_of
+from cucumbervision_lab.train.fruit_crops import Crops
 
 _LIMITS = (
     "Trained on drawn fruit, on real ones pasted into photos, and on photos of fruit on the "

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
-from cucumbervision.capture.camera_file import read_camera_file
+from cucumbervision.arrays import Array32, Numbers, Pixels
+from cucumbervision.capture.camera_file import CameraFile, read_camera_file
 from cucumbervision.capture.frames import Capture, Doubt, depth_along_axis
 from cucumbervision.capture.intrinsics import (
     DepthAlong,
@@ -23,15 +26,8 @@ from cucumbervision.capture.pictures import (
     enlarge_depth,
     require_readings,
 )
+from cucumbervision.capture.source import Folder, ReadOptions
 from cucumbervision.errors import CaptureError, IntrinsicsError, wrap_reader_errors
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from cucumbervision.arrays import Array32, Numbers, Pixels
-    from cucumbervision.capture.camera_file import CameraFile
-    from cucumbervision.capture.source import Folder, ReadOptions
 
 _OWN_NAME = "intrinsics.json"
 _CAMERA_NAME = re.compile(

@@ -60,6 +60,9 @@ _BEHIND_RADII, _IN_PLANE_RADII, _BESIDE_PX, _BESIDE_SHARES = 4.0, 0.3, 2.1, (0.0
 # distance from the outline, least and relative to the length, at which the interval is wrong.
 _SKIN_RADII, _EDGE_RADII, _EDGE_PX, _PARTS = 1.3, 0.8, 12, 12
 _SHARP_PX, _SHARP_SHARE, _LOOSE_PX, _LOOSE_SHARE = 1.0, 0.1, 1.2, 0.008
+_NETWORK_PX = (
+    3.0  # the same of outlines by networks: intervals are learnt on such as are 1 to 2 off
+)
 _ONE_VALUE_SHARE = 0.6  # real skin has one value on at most 0.23 of its pixels
 # Width of a stem and of the shoulder half a radius behind it, relative to the fruit's; a tip tapers
 # slowly. Least length of a stem with such a shoulder, and of one without, in radii.
@@ -74,6 +77,8 @@ def depth_doubts(
     mask: NDArray[np.bool_],
     focal_px: float,
     color: NDArray[np.uint8] | None = None,
+    *,
+    by_network: bool = False,
 ) -> tuple[Flag, ...]:
     """Return flags for depth that cannot be the distance of a fruit, and outlines off their fruit.
 
@@ -86,7 +91,9 @@ def depth_doubts(
     focal_px : float
         Focal length, pixels.
     color : ndarray of uint8, shape (H, W, 3), optional
-        The picture: what goes on beyond an end has the fruit's colour.
+        The image: what goes on beyond an end has the fruit's colour.
+    by_network : bool
+        Whether a network drew the mask, which is then less exact.
 
     Returns
     -------
@@ -122,7 +129,8 @@ def depth_doubts(
         return (Flag.DEPTH_SPARSE,) if is_sparse else ()
     is_too_near = body.distance_m < _NEAREST_M
     offset_px = _outline_offset_px(depth_m, mask, body)
-    is_loose = abs(offset_px) > max(_LOOSE_PX, _LOOSE_SHARE * body.scale * np.ptp(body.ends))
+    least_px = _NETWORK_PX if by_network else _LOOSE_PX
+    is_loose = abs(offset_px) > max(least_px, _LOOSE_SHARE * body.scale * np.ptp(body.ends))
     is_short = is_loose and offset_px > 0
     is_elsewhere = not is_short and (
         is_loose

@@ -275,7 +275,7 @@ def measure_fruit(
     blossom_hidden, stem_hidden, disagree = end_doubts(mask, instance.keypoints)
     hidden = blossom_hidden, stem_hidden
     by_keypoints = {Flag.END_HIDDEN: any(hidden), Flag.ENDS_DISAGREE: disagree}
-    flags += _flags(capture, instance, mask, chosen, stem_confidence, by_keypoints)
+    flags += _flags(capture, instance, mask, source, chosen, stem_confidence, by_keypoints)
     if any(measurement.error is not None for measurement in measurements.values()):
         flags.append(Flag.PLUGIN_FAILED)
     place_pose = partial(fruit_pose, cut_beyond_m=cut_beyond_m, scale_known=scale_known)
@@ -300,6 +300,7 @@ def _flags(
     capture: Capture,
     instance: Instance,
     mask: Mask | None,
+    source: MaskSource | None,
     chosen: Measurement | None,
     stem_confidence: float,
     by_keypoints: Mapping[Flag, bool],
@@ -313,7 +314,10 @@ def _flags(
     flags.extend(flag for flag, holds in by_keypoints.items() if holds and flag not in flags)
     if mask is not None:
         focal_px = capture.intrinsics.fx_px
-        flags.extend(depth_doubts(capture.depth_m, mask, focal_px, capture.color))
+        by_network = source in _DRAWN
+        flags.extend(
+            depth_doubts(capture.depth_m, mask, focal_px, capture.color, by_network=by_network)
+        )
     by_gravity = capture.gravity is not None and chosen is not None and chosen.path_m is not None
     sure = stem_confidence if by_gravity else instance.end_confidence
     if sure is not None and sure < LEAST_END_CONFIDENCE:

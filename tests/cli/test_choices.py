@@ -41,8 +41,7 @@ class Asked:
 
 
 def test_nothing_given_is_what_python_measures_with() -> None:
-    profile = load_profile("long-cucumber")
-    assert Asked()("a") == MeasureOptions().for_crop(profile)
+    assert Asked()("a") == MeasureOptions().for_crop(load_profile("long-cucumber"))
 
 
 def test_each_option_reaches_what_it_names(tmp_path: Path) -> None:

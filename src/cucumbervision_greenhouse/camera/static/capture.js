@@ -351,7 +351,7 @@ async function showPreview(bytes) {
 }
 
 function choose(source) {
-  own.source = source;
+  Object.assign(own, { source, shown: "" }); // each source numbers its own images
   readWalk();
 }
 for (const name of ["camera", "replay"]) $(name).onclick = () => { address.set("source", name); choose(name); };

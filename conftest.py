@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
@@ -18,9 +17,9 @@ _SKIPPED: set[str] = set()
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
-    """Note a skipped test, without the group that xdist adds to its name."""
+    """Note a skipped test, without its parameters and the group that xdist adds to its name."""
     if report.skipped:
-        _SKIPPED.add(re.sub(r"@\w+$", "", report.nodeid))
+        _SKIPPED.add(report.nodeid.partition("[")[0].partition("@")[0])
 
 
 def pytest_collectreport(report: pytest.CollectReport) -> None:

@@ -21,7 +21,7 @@ from importlib.metadata import (
 )
 from pkgutil import resolve_name
 from threading import RLock
-from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias, TypeVar, cast
 
 from cucumbervision._version import __version__
 from cucumbervision.errors import CucumberVisionError, PluginError
@@ -155,10 +155,13 @@ def _loaded(plugin: Plugin) -> Any:
         raise plugin.error(f"cannot be loaded ({type(error).__name__}: {error})") from error
 
 
-@lru_cache
+# Python 3.11 has another class for all of them, which selects alike.
+_installed: Any = lru_cache(maxsize=1)(entry_points)
+
+
 def installed(group: str) -> EntryPoints:
-    """Return the entry points of a group; the installed packages are searched once."""
-    return entry_points(group=group)
+    """Return the entry points of a group; the installed packages are searched once for all."""
+    return cast("EntryPoints", _installed().select(group=group))
 
 
 def plugins(kind: Kind) -> dict[str, Plugin]:
@@ -207,7 +210,7 @@ def _table(kind: Kind) -> tuple[dict[str, Plugin], tuple[PluginError, ...]]:
 
 def forget() -> None:
     """Look for installed packages again: one was installed while the program runs."""
-    for memory in (installed, _table, _loaded):
+    for memory in (_installed, _table, _loaded):
         memory.cache_clear()
 
 

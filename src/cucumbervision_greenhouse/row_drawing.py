@@ -9,8 +9,8 @@ from html import escape
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cucumbervision.arrays import Array
 from cucumbervision.crop.grades import UNDECIDED, Grade, class_name
 from cucumbervision_greenhouse.fruit_pictures import PICTURE_FILES, class_color
 from cucumbervision_greenhouse.language import counted, number_words
@@ -26,7 +26,6 @@ from cucumbervision_greenhouse.words import (
     row_and_side,
 )
 
-Floats = NDArray[np.float64]
 Box = tuple[float, float, float, float]
 
 _REACH_MM = 500  # along the row: a camera shows the fruit this far from its stop
@@ -146,7 +145,7 @@ def _side(
     )
 
 
-def _tube(view: FruitRow, pose: Floats) -> Floats:
+def _tube(view: FruitRow, pose: Array) -> Array:
     """Return points of a fruit in the plane of its row, and half of its width there; mm."""
     centre_m = np.array([getattr(view, f"centre_{axis}_m") or 0.0 for axis in "xyz"])
     length_m = view.length_m or _USUAL_M
@@ -165,7 +164,7 @@ def _tube(view: FruitRow, pose: Floats) -> Floats:
     return 1000 * np.stack([x_m, -up_m, half_m], axis=1)
 
 
-def _move_apart(tubes: Floats) -> None:
+def _move_apart(tubes: Array) -> None:
     """Move fruit that would be drawn over one another beside each other."""
     placed: list[tuple[float, float]] = []
     middles = tubes[..., :2].mean(axis=1)
@@ -210,7 +209,7 @@ def _scales(box: Box, units: Units) -> Iterator[str]:
 
 def _fruit(
     fruit: Sequence[FruitRow],
-    tubes: Floats,
+    tubes: Array,
     grades: Mapping[str, Grade],
     units: Units,
     hatches: dict[str, str],
@@ -285,7 +284,7 @@ def _form(view: FruitRow, graded: Grade, hatches: dict[str, str]) -> tuple[str, 
     return f'fill="url(#{name})"', ""
 
 
-def _line(points: Floats) -> str:
+def _line(points: Array) -> str:
     """Return a path of an SVG through points, each after the first by its step, which is short."""
     pixels = points.round().astype(int)
     steps = np.concatenate([pixels[:1], np.diff(pixels, axis=0)]).ravel().tolist()

@@ -7,6 +7,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from datetime import date, timedelta
+from functools import lru_cache
 from statistics import fmean
 from typing import Annotated, Any, TypeAlias
 
@@ -115,6 +116,7 @@ def keep_harvest(
         were seen.
     """
     walks = rounds_of_house(store, round_key)
+    table_of = lru_cache(lambda key: fruit_table(read_round(store, key)))  # once a round
     picked: dict[tuple[date, str], float] = defaultdict(float)
     for line in lines:
         picked[line.day, line.row] += line.fruit or 0
@@ -126,8 +128,7 @@ def keep_harvest(
                 remedy="correct the day",
                 day=day.isoformat(),
             )
-        seen = sum(row in ("", x.row) for x in fruit_table(read_round(store, walk.key)))
-        if count > seen:
+        if count > (seen := sum(row in ("", x.row) for x in table_of(walk.key))):
             raise RoundError(
                 "{count:.0f} fruit were picked on {day}, and the round before saw {seen}",
                 remedy="correct the number, or leave out rows that were not walked",

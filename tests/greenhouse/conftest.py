@@ -56,6 +56,15 @@ def whole_stop(store: Store, key: str) -> StopRecord:
     return replace(stop, captures=tuple(captures), fruit=0)
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Tests in a browser: a file's share one server, and no busy machine reaches their limit."""
+    for item in items:
+        if "browser" in getattr(item, "fixturenames", ()):
+            item.add_marker(pytest.mark.timeout(1800))
+            item.add_marker(pytest.mark.xdist_group(item.path.stem))
+
+
 @pytest.fixture
 def in_zone(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str], None]]:
     """Set the time zone of this process until the test ends."""

@@ -21,9 +21,6 @@ from cucumbervision_greenhouse.store.repository import open_store
 
 TOKEN = "a-token-of-this-test-only"
 
-# One server and one browser, and no limit that a busy machine could reach.
-pytestmark = [pytest.mark.timeout(1800), pytest.mark.xdist_group("browser")]
-
 NewPage = Callable[[], Any]
 StartServer = Callable[..., str]
 

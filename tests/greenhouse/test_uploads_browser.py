@@ -23,8 +23,6 @@ from cucumbervision_greenhouse.store.repository import open_store
 WALK = Round(key_of("sent"), "sent", "", 1_700_000_000.0, "long-cucumber")
 PART = 4 * 2**20
 
-pytestmark = [pytest.mark.timeout(1800), pytest.mark.xdist_group("browser")]
-
 
 class Parts:
     """The parts of files that a page sends: so many go through, then one is held."""

@@ -29,8 +29,6 @@ from cucumbervision_greenhouse.settings import Settings, settings_file, write_se
 
 WALK = Round(key_of("presses"), "presses", "", 1_700_000_000.0, "long-cucumber")
 
-pytestmark = [pytest.mark.timeout(1800), pytest.mark.xdist_group("browser")]
-
 
 class Walk:
     """A round that a page of the camera's is open on; a recording plays in its place."""

@@ -22,9 +22,6 @@ from cucumbervision_greenhouse.store.repository import open_store
 REDRAWS = 8  # what each of them would leave behind is found by the second
 TABLET, UPRIGHT = {"width": 1280, "height": 800}, {"width": 800, "height": 1280}
 
-# One server and one browser, and no limit that a busy machine could reach.
-pytestmark = [pytest.mark.timeout(1800), pytest.mark.xdist_group("browser")]
-
 
 @dataclass
 class Dashboard:

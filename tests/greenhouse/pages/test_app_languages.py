@@ -60,8 +60,6 @@ def test_todays_page_in_dutch(house: Path) -> None:
     assert all(re.fullmatch(r"(minstens )?\d+,\d cm", length) for _, length, *_ in says)
 
 
-@pytest.mark.timeout(1800)
-@pytest.mark.xdist_group("browser")
 def test_a_language_is_the_browsers_until_one_is_chosen(
     tmp_path: Path, start_server: Callable[..., str], new_page: Callable[..., Any]
 ) -> None:

@@ -44,8 +44,6 @@ TEXT = """() => {
   return every(document).map((node) => node.value ?? node.innerText ?? '').join('\\n');
 }"""
 
-pytestmark = [pytest.mark.timeout(1800), pytest.mark.xdist_group("browser")]
-
 
 @pytest.fixture(scope="module")
 def address(

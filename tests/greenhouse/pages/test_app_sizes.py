@@ -74,9 +74,6 @@ LOOK = """(least) => {
   return found;
 }"""
 
-# One server and one browser, and no limit that a busy machine could reach.
-pytestmark = [pytest.mark.timeout(1800), pytest.mark.xdist_group("browser")]
-
 
 @pytest.fixture(scope="module")
 def address(

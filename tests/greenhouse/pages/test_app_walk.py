@@ -23,8 +23,6 @@ from cucumbervision_greenhouse.store.records import StopRecord
 from cucumbervision_greenhouse.store.repository import open_store
 from cucumbervision_greenhouse.store.waiting import WaitingCaptures
 
-pytestmark = [pytest.mark.timeout(1800), pytest.mark.xdist_group("browser")]
-
 NARROW = ("", "capture", "upload", "results", "map")
 
 

@@ -25,8 +25,6 @@ from tests.greenhouse.conftest import PATIENCE_S
 from cucumbervision.capture.source import example_captures
 from cucumbervision_greenhouse.store.repository import open_store
 
-pytestmark = [pytest.mark.timeout(1800), pytest.mark.xdist_group("browser")]
-
 GROWTH = 1.08  # in a day, of every length
 DAY_S = 86400.0
 

@@ -23,8 +23,6 @@ from cucumbervision_greenhouse.store.repository import open_store
 WALK, TOKEN = key_of("walk"), "a-token-of-this-test-only"
 PATIENCE_S = 300.0  # on a machine that does much else; some seconds on an idle one
 
-pytestmark = [pytest.mark.timeout(1800), pytest.mark.xdist_group("browser")]
-
 
 def axis_px(detail: DetectionDetail) -> Any:
     """The measured axis in the capture's pixels."""

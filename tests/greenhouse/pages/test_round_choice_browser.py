@@ -13,8 +13,6 @@ pytest.importorskip("streamlit")
 from cucumbervision_greenhouse.store.records import Round, key_of
 from cucumbervision_greenhouse.store.repository import open_store
 
-pytestmark = [pytest.mark.timeout(1800), pytest.mark.xdist_group("browser")]
-
 
 @pytest.mark.parametrize("address", ["/", "/capture"])
 def test_a_typed_house_is_the_house_of_the_round(

@@ -4,10 +4,24 @@ import logging
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from tests.constant_network import constant_network as network
 
 from cucumbervision.errors import CucumberVisionError, ModelError
-from cucumbervision.networks.yolo import SIZES_KEY, YoloDetector
+from cucumbervision.fruit.instance import Instance
+from cucumbervision.networks.yolo import (
+    SIZES_KEY,
+    RowKind,
+    YoloDetector,
+    choose_raw,
+    choose_rows,
+    fit,
+    merge_sizes,
+    parse_input_sizes,
+    raw_of,
+    row_kind,
+)
 
 onnx = pytest.importorskip("onnx")
 
@@ -208,3 +222,166 @@ def test_rows_of_another_detector_are_refused_and_not_read_as_boxes() -> None:
 def test_a_stride_that_is_none_is_refused(stride: object) -> None:
     with pytest.raises(ModelError, match="'stride': "):
         YoloDetector(network(np.zeros((1, 6, 84)), props=CUCUMBER | {"stride": stride}))
+
+
+@pytest.mark.parametrize(
+    ("shape", "classes", "extra", "end_to_end", "expected"),
+    [
+        # 640x640: 6400 + 1600 + 400 cells.
+        ((84, 8400), 80, 0, False, (RowKind.RAW, 80)),
+        ((5, 8400), 0, 0, False, (RowKind.RAW, 1)),
+        ((37, 8400), 1, 32, False, (RowKind.RAW, 1)),
+        ((8400, 6), 2, 0, False, (RowKind.RAW_ROWS, 2)),
+        ((8400, 6), 0, 0, False, (RowKind.RAW_ROWS, 2)),
+        ((25200, 6), 1, 0, False, (RowKind.OBJECT_ROWS, 1)),
+        ((25200, 6), 0, 0, False, (RowKind.OBJECT_ROWS, 1)),
+        ((25200, 7), 2, 0, False, (RowKind.OBJECT_ROWS, 2)),
+        ((25200, 38), 1, 32, False, (RowKind.OBJECT_ROWS, 1)),
+        ((300, 6), 1, 0, True, (RowKind.FINAL, 1)),
+        ((300, 6), 80, 0, False, (RowKind.FINAL, 80)),
+        ((300, 38), 1, 32, True, (RowKind.FINAL, 1)),
+        ((25200, 6), 2, 0, False, None),
+        ((8400, 6), 1, 0, False, None),
+        ((300, 5), 1, 0, False, None),
+        ((300, 4), 0, 0, False, None),
+    ],
+)
+def test_layouts_are_told_apart_by_columns_and_rows(
+    shape: tuple[int, int],
+    classes: int,
+    extra: int,
+    end_to_end: bool,
+    expected: tuple[RowKind, int] | None,
+) -> None:
+    kind = row_kind(shape, classes=classes, extra=extra, input_px=(640, 640), end_to_end=end_to_end)
+    assert kind == expected
+
+
+def test_objectness_counts_for_every_class_and_extras_follow() -> None:
+    rows = np.array([[5, 6, 4, 2, 0.5, 0.8, 0.2, 7]])
+    raw_rows = raw_of(rows, RowKind.OBJECT_ROWS, 2)
+    assert raw_rows.ravel() == pytest.approx([5, 6, 4, 2, 0.4, 0.1, 7])
+
+
+@pytest.mark.parametrize(
+    "row",
+    [
+        [0, 0, 4, 4, 0.9, 0.5],  # a class that is none
+        [0, 0, 4, 4, 0.9, -1],
+        [0, 0, 4, 4, 1.5, 0],  # a score beyond 1
+        [8, 8, 4, 4, 0.9, 0],  # centre and size
+    ],
+)
+def test_final_rows_of_another_kind_are_refused(row: list[float]) -> None:
+    with pytest.raises(ModelError, match=r"net\.onnx: its rows are not"):
+        choose_rows(np.array([row]), 0.3, source="net.onnx")
+
+
+def raw(*anchors: tuple[float, ...]) -> np.ndarray:
+    return np.array(anchors, np.float32).T
+
+
+def test_one_to_one_anchor_may_answer_for_two_classes() -> None:
+    out = choose_raw(raw((5, 5, 4, 4, 0.5, 0.75)), 2, 0.3, one_to_one=True)
+    assert out[:, 4:6].tolist() == [[0.75, 1], [0.5, 0]]
+
+
+def test_one_to_one_takes_at_most_300() -> None:
+    anchors = [(5.0, 5.0, 4.0, 4.0, 0.4 + i * 1e-4) for i in range(400)]
+    out = choose_raw(raw(*anchors), 1, 0.3, one_to_one=True)
+    assert len(out) == 300
+    assert out[-1, 4] == pytest.approx(0.41)
+
+
+ONE = np.ones(1, np.float32)  # the weight of a single prototype
+
+sides = st.integers(1, 1500)
+
+
+def test_wide_picture_by_hand() -> None:
+    # 1280x720 to 640x640: gain 1/2, 360 rows, 280 spare, 140 above.
+    box = fit(720, 1280, (640, 640))
+    picture = np.full((720, 1280, 3), 200, np.uint8)
+    out = box.apply(picture)
+    assert out.shape == (640, 640, 3)
+    assert (out[140:500] == 200).all()
+    assert (out[:140] == 114).all()
+    assert (out[500:] == 114).all()
+
+
+def test_rounded_sides_have_gains_of_their_own() -> None:
+    # 427x640 to 320: gain 1/2, 213.5 rows become 214, so rows scale by 214/427.
+    box = fit(427, 640, (320, 320))
+    assert box.inner_height == 214
+    corner = box.points_back(np.array([320.0, box.top_px + 214.0]))
+    assert corner.tolist() == pytest.approx([639.5, 426.5])
+
+
+@given(sides, sides, st.sampled_from([320, 640]))
+@settings(max_examples=50, deadline=None)
+def test_corners_come_back_exactly(height: int, width: int, size: int) -> None:
+    box = fit(height, width, (size, size))
+    corners = np.array(
+        [[box.left_px, box.top_px], [box.left_px + box.inner_width, box.top_px + box.inner_height]]
+    )
+    expected = [[-0.5, -0.5], [width - 0.5, height - 0.5]]
+    assert np.allclose(box.points_back(corners), expected, atol=1e-9)
+
+
+def test_mask_of_a_half_plane_lies_where_its_edge_is() -> None:
+    # 640x320 into 320x320 (gain 1/2, 80 grey rows): a prototype pixel is 8 picture pixels.
+    # Logits rise by 1 a prototype column and are 0 between columns 19 and 20 (column edge 20),
+    # which is picture column edge 160.
+    box = fit(320, 640, (320, 320))
+    logits = np.tile(np.arange(80) - 19.5, (80, 1)).astype(np.float32)
+    mask = box.mask_back(logits[None], ONE, np.array([-0.5, -0.5, 639.5, 319.5]))
+    assert mask.shape == (320, 640)
+    assert not mask[:, :160].any()
+    assert mask[:, 160:].all()
+
+
+def test_grey_rows_lend_nothing_to_the_mask() -> None:
+    # 64x32 into 64x64: 16 grey rows above and below, four prototype rows each. They are set, the
+    # picture's own are not.
+    box = fit(32, 64, (64, 64))
+    logits = np.full((16, 16), -1, np.float32)
+    logits[:4] = logits[12:] = 9
+    assert not box.mask_back(logits[None], ONE, np.array([-0.5, -0.5, 63.5, 31.5])).any()
+
+
+def find(left: float, confidence: float, size: int, name: str = "cucumber") -> Instance:
+    box = np.array([left, 0, left + 100, 20], np.float64)
+    return Instance(box, confidence, class_name=name, input_size_px=size)
+
+
+def test_the_mask_is_that_of_the_first_size_that_is_half_as_sure_as_the_best() -> None:
+    (both,) = merge_sizes([[find(0, 0.45, 640)], [find(0, 0.9, 896)]])
+    (weak,) = merge_sizes([[find(0, 0.44, 640)], [find(0, 0.9, 896)]])
+    (large,) = merge_sizes([[], [find(0, 0.9, 896)]])
+    assert [one.input_size_px for one in (both, weak, large)] == [640, 896, 896]
+
+
+def test_boxes_that_agree_less_and_other_classes_stay_apart() -> None:
+    # 40 px apart: an IoU of 60/140.
+    apart = merge_sizes([[find(0, 0.8, 640)], [find(40, 0.6, 896)]])
+    assert [one.confidence for one in apart] == pytest.approx([0.4, 0.3])
+    leaf = merge_sizes([[find(0, 0.8, 640)], [find(0, 0.6, 896, "leaf")]])
+    assert [one.class_name for one in leaf] == ["cucumber", "leaf"]
+
+
+def test_each_find_joins_the_nearest_of_another_size_and_never_one_of_its_own() -> None:
+    merged = merge_sizes([[find(0, 0.9, 640), find(20, 0.8, 640)], [find(22, 0.6, 896)]])
+    assert [one.confidence for one in merged] == pytest.approx([0.7, 0.45])
+    assert merged[1].box.tolist() == [0, 0, 100, 20]
+
+
+def test_one_size_stays_as_it_is_and_nothing_gives_nothing() -> None:
+    finds = (find(0, 0.9, 640), find(5, 0.8, 640))
+    assert merge_sizes([finds]) == finds
+    assert merge_sizes([[], []]) == ()
+
+
+@pytest.mark.parametrize("text", ["650", "0", "-32", "640,", "640;960", "1e3", "4128"])
+def test_what_is_no_input_size_is_refused(text: str) -> None:
+    with pytest.raises(CucumberVisionError, match="is not an input size"):
+        parse_input_sizes(text)

@@ -1,16 +1,17 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.greenhouse.conftest import whole_stop
 
 pytest.importorskip("streamlit")
 
 from streamlit.testing.v1 import AppTest
+from tests.greenhouse.conftest import whole_stop
 from tests.greenhouse.pages.app_pages import PAGES, WALK, app, field, said, tap, wait_for_jobs
 
 from cucumbervision.capture.readers import open_source
@@ -194,3 +195,45 @@ def test_a_house_is_renamed_and_merged_on_the_page(house: Path) -> None:
     tap(test, "Merge the house with 'North' (1 round)")
     assert houses() == ["North", "North"]
     wait_for_jobs()
+
+
+@pytest.mark.parametrize("address", ["/", "/capture"])
+def test_a_typed_house_is_the_house_of_the_round(
+    address: str, tmp_path: Path, start_server: Callable[..., Any], new_page: Callable[..., Any]
+) -> None:
+    path = tmp_path / "house.db"
+    with open_store(path) as store:
+        store.save_round(Round(key_of("a"), "Monday", "house 1", 1_700_000_000.0, "long-cucumber"))
+    page = new_page()
+    page.goto(start_server(tmp_path, "--store", str(path)) + address)
+    page.get_by_role("button", name="New round").click()
+    form = page.get_by_role("dialog")
+    form.get_by_label("House", exact=True).click()
+    page.keyboard.press("ControlOrMeta+A")
+    page.keyboard.type("House 7")
+    form.get_by_role("button", name="Start this round").click()
+    form.wait_for(state="hidden")
+    page.get_by_text("House 7").first.wait_for()
+    with open_store(path) as store:
+        assert sorted(x.house for x in store.rounds()) == ["House 7", "house 1"]
+
+
+PATIENCE_S = 300.0
+
+
+def _choice() -> None:
+    import streamlit as st
+
+    from cucumbervision_greenhouse.pages.round_choice import label_options
+
+    st.session_state["stops"] = st.session_state.get("stops", 0) + 1  # more with every run
+    names = dict.fromkeys(("a", "b", "c"), f"Round, {st.session_state['stops']} stops")
+    st.selectbox("Round", list(names), format_func=label_options("round", names), key="round")
+
+
+def test_what_is_called_alike_is_told_apart_and_a_name_of_before_is_understood() -> None:
+    page = AppTest.from_function(_choice, default_timeout=PATIENCE_S).run()
+    for key in ("c", "b", "a", "b"):
+        page.selectbox[0].select(key).run()
+        assert not page.exception
+        assert page.session_state["round"] == page.selectbox[0].value == key

@@ -42,7 +42,7 @@ def fruit(number: int, length_m: float | None = 0.2, **changes: Any) -> records.
     return record.with_(**changes)
 
 
-def stop(step: int, *detections: records.FruitRow, **changes: Any) -> records.StopRecord:
+def stop_at(step: int, *detections: records.FruitRow, **changes: Any) -> records.StopRecord:
     record = records.StopRecord(
         key=records.key_of(MORNING.key, step),
         round_key=MORNING.key,
@@ -94,7 +94,7 @@ def test_a_round_that_is_nowhere_is_named(store: Store) -> None:
 
 
 def test_a_row_has_its_stops_and_views_as_arrays(store: Store) -> None:
-    row = rows(store, stop(1, fruit(1), fruit(2, 0.3)), stop(2, fruit(1)))["3"]
+    row = rows(store, stop_at(1, fruit(1), fruit(2, 0.3)), stop_at(2, fruit(1)))["3"]
     np.testing.assert_allclose(row.stops.at_m, [[0.5, 0, 0], [1.0, 0, 0]])
     np.testing.assert_allclose(row.stops.sd_m, [[0.02, 0.03, 0.03]] * 2)
     np.testing.assert_allclose(row.stops.reach, [0.8] * 2)
@@ -110,25 +110,25 @@ def test_a_row_has_its_stops_and_views_as_arrays(store: Store) -> None:
 
 
 def test_the_other_aisle_looks_back_at_the_row(store: Store) -> None:
-    other_side = stop(2, fruit(1), side="right")
-    row = rows(store, stop(1, fruit(1)), other_side)["3"]
+    other_side = stop_at(2, fruit(1), side="right")
+    row = rows(store, stop_at(1, fruit(1)), other_side)["3"]
     assert (row.sides, row.stops.side.tolist()) == (("left", "right"), [0, 1])
     np.testing.assert_allclose(row.views.offset_m, [[0.1, -0.05, 0.6], [-0.1, -0.05, -0.6]])
 
 
 def test_what_cannot_be_placed_is_counted_apart(store: Store) -> None:
     no_middle = fruit(2, centre_x_m=None, centre_y_m=None, centre_z_m=None)
-    nowhere = stop(2, fruit(1), position_m=None)
-    row = rows(store, stop(1, fruit(1), no_middle), nowhere)["3"]
+    nowhere = stop_at(2, fruit(1), position_m=None)
+    row = rows(store, stop_at(1, fruit(1), no_middle), nowhere)["3"]
     assert (len(row.stops), row.views.stop.tolist(), row.unplaced) == (1, [0], 2)
-    unknown = rows(store, stop(3, row=None, position_m=None))[""]
+    unknown = rows(store, stop_at(3, row=None, position_m=None))[""]
     assert (len(unknown.stops), len(unknown.views.stop), unknown.unplaced) == (0, 0, 0)
 
 
 def test_lengths_without_interval_or_of_another_kind_count_for_little(store: Store) -> None:
     exact = Length(0.2, CENTRELINE, 0.1999, 0.2001, CENTRELINE)
     arc = Length(0.2, LengthKind.SURFACE_ARC, 0.199, 0.201, CENTRELINE)
-    record = stop(
+    record = stop_at(
         1,
         fruit(1, None),
         fruit(2, length=Length(0.2, CENTRELINE)),
@@ -141,15 +141,15 @@ def test_lengths_without_interval_or_of_another_kind_count_for_little(store: Sto
 
 
 def test_a_camera_that_is_not_stored_is_a_d435(store: Store) -> None:
-    bare = stop(1, captures=(records.CaptureRecord("a"),))
-    flat = stop(2, captures=(records.CaptureRecord("a", camera={**CAMERA, "fx": 0.0}),))
+    bare = stop_at(1, captures=(records.CaptureRecord("a"),))
+    flat = stop_at(2, captures=(records.CaptureRecord("a", camera={**CAMERA, "fx": 0.0}),))
     # A D435's colour camera sees 69 degrees.
     half = np.tan(np.deg2rad(69.0) / 2)
     np.testing.assert_allclose(rows(store, bare, flat)["3"].stops.reach, [half] * 2, atol=2e-3)
 
 
 def test_what_people_say_of_fruit_is_in_the_row(store: Store) -> None:
-    rows(store, stop(1, fruit(1), fruit(2), fruit(3)))
+    rows(store, stop_at(1, fruit(1), fruit(2), fruit(3)))
     keys = [view.key for view in store.detections(MORNING.key)]
     store.set_verdict(keys[:1], records.Verdict.ACCEPTED)
     store.set_verdict(keys[1:2], records.Verdict.REJECTED)
@@ -161,11 +161,11 @@ def test_what_people_say_of_fruit_is_in_the_row(store: Store) -> None:
 
 def test_three_sides_of_one_row_are_refused(store: Store) -> None:
     with pytest.raises(RoundError, match="row '3' has 3 sides: back, left, right"):
-        rows(store, stop(1), stop(2, side="right"), stop(3, side="back"))
+        rows(store, stop_at(1), stop_at(2, side="right"), stop_at(3, side="back"))
 
 
 def test_a_merged_row_comes_back_as_it_was_saved(store: Store) -> None:
-    row = rows(store, stop(1, fruit(1), fruit(2)), stop(2, fruit(1)))["3"]
+    row = rows(store, stop_at(1, fruit(1), fruit(2)), stop_at(2, fruit(1)))["3"]
     _, second, third = (view.key for view in row.fruit)
     place = {records.key_of(MORNING.key, 2): (0.97, 0.005)}
     store.save_merging(

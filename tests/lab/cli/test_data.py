@@ -7,6 +7,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from cucumbervision.capture.pictures import write_png
+from cucumbervision.cli.app import app as main_app
 from cucumbervision.errors import DataSetError
 from cucumbervision_lab.cli.data import app
 from cucumbervision_lab.data.coco import read_coco
@@ -90,3 +91,21 @@ def test_check_prints_a_table_and_exits_with_1(photos: Path) -> None:
 def test_check_of_a_clean_set(photos: Path) -> None:
     result = call("check", photos, "--names", NAMES)
     assert (result.exit_code, result.output) == (0, "20 pictures, 20 labels, no fault.\n")
+
+
+def test_it_draws_a_set_and_says_what_is_in_it(tmp_path: Path) -> None:
+    out = tmp_path / "set"
+    words = ["synth", "--out", str(out), "--frames", "3", "--size", "160x96", "--workers", "1"]
+    result = CliRunner().invoke(main_app, words)
+    assert result.exit_code == 0, result.output
+    data = read_coco(out)
+    fruit = sum(len(picture.labels) for picture in data.pictures)
+    assert f"3 pictures (3 train, 0 val, 0 test) with {fruit} cucumbers" in result.output
+    assert len(list((out / "depth").glob("*.png"))) == 3
+
+
+def test_a_size_that_is_none_is_named(tmp_path: Path) -> None:
+    words = ["synth", "--out", str(tmp_path), "--size", "big"]
+    result = CliRunner().invoke(main_app, words)
+    assert result.exit_code != 0
+    assert "--size" in str(result.exception)

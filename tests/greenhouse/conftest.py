@@ -202,15 +202,10 @@ def start_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[StartServ
             with socket.socket() as probe:
                 probe.bind(("127.0.0.1", 0))
                 port = int(probe.getsockname()[1])
-            command = [sys.executable, "-c", code, "dashboard", "--no-browser"]
+            command = [sys.executable, "-c", code, "dashboard", "--no-browser", "--port", str(port)]
+            how: dict[str, Any] = {"cwd": folder, "env": {**os.environ, **environment}}
             with (folder / "server.log").open("ab") as log:
-                server = subprocess.Popen(
-                    [*command, "--port", str(port), *arguments],
-                    stdout=log,
-                    stderr=log,
-                    cwd=folder,
-                    env={**os.environ, **environment},
-                )
+                server = subprocess.Popen([*command, *arguments], stdout=log, stderr=log, **how)
             started.append(server)
             if _answers(f"http://127.0.0.1:{port}", server):
                 address = Address(f"http://127.0.0.1:{port}")
@@ -252,7 +247,7 @@ def browser() -> Iterator[Any]:
 
 @pytest.fixture
 def new_page(browser: Any) -> Iterator[Callable[..., Any]]:
-    """Open an empty page in a browser context of its own; what it logged is shown on failure."""
+    """Open an empty page in a browser context of its own; a failure shows its log and its end."""
     contexts: list[Any] = []
 
     def opened(width: int = 1280, height: int = 800, **how: Any) -> Any:
@@ -266,4 +261,6 @@ def new_page(browser: Any) -> Iterator[Callable[..., Any]]:
 
     yield opened
     for context in contexts:
+        for page in context.pages:
+            SAID.warning("%s ends with: %s", page.url, page.evaluate("document.body.innerText"))
         context.close()

@@ -352,13 +352,17 @@ def say_missing(name: str, present: Container[str | None], words: str) -> None:
 
 def live() -> None:
     """Show the current work; draw the page anew after a change of its round by anybody."""
-    opened = st.session_state.get("round") or ""
-    _live(opened, round_view.news(opened)["version"])
+    _live(round_view.news(_opened())["version"])
+
+
+def _opened() -> str:
+    # The first page of a session opens the newest round further down.
+    return st.session_state.get("round") or next((walk.key for walk in resources.rounds()), "")
 
 
 @st.fragment(run_every=_NEWS_S)
-def _live(round_key: str, version: str) -> None:
-    news = round_view.news(round_key)
+def _live(version: str) -> None:
+    news = round_view.news(_opened())
     if version != news["version"]:
         st.rerun()
     work = news["work"]
@@ -382,10 +386,9 @@ def _time_left(work: Mapping[str, Any]) -> str:
     left_s = (now_s - begun[1]) / (work["done"] - begun[2]) * (work["total"] - work["done"])
     if left_s < _SHORT_S:
         return ""
-    words, number = (
-        (_("about {n} s left"), left_s) if left_s < 90 else (_("about {n} min left"), left_s / 60)
-    )
-    return ", " + words.format(n=round(number))
+    if left_s < 90:
+        return ", " + _("about {n} s left").format(n=round(left_s))
+    return ", " + _("about {n} min left").format(n=round(left_s / 60))
 
 
 def rows(walk: RoundView, rows: Sequence[str] = (), *, opened: str = "") -> dict[str, str]:

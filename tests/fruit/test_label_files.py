@@ -2,20 +2,14 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
 from cucumbervision.errors import InstancesError
-from cucumbervision.fruit.instance import MaskSource
-from cucumbervision.fruit.label_files import (
-    FileInstances,
-    LabelledInstance,
-    parse_yolo_line,
-    read_instances,
-    read_labels,
-)
+from cucumbervision.fruit.instance import Instance, MaskSource
+from cucumbervision.fruit.label_files import LabelledInstance, parse_yolo_line, read_instances
 from cucumbervision.fruit.mask_codes import encode_rle
 
 
@@ -37,7 +31,7 @@ def test_other_files_are_refused(
     if content is not None:
         path.write_text(content, encoding="utf-8")
     with pytest.raises(InstancesError, match=fault):
-        read_labels(path)
+        read_instances(path)
 
 
 WIDTH, HEIGHT = 20, 10
@@ -55,8 +49,13 @@ def coco(path: Path, *annotations: dict[str, Any], **image: Any) -> Path:
     return path
 
 
-def get(path: Path, name: str = "a") -> FileInstances:
-    return read_instances(path).for_capture([name], WIDTH, HEIGHT)
+class Found(NamedTuple):
+    instances: tuple[Instance, ...]
+    refused: tuple[InstancesError, ...]
+
+
+def get(path: Path, name: str = "a") -> Found:
+    return Found(*read_instances(path).for_capture([name], WIDTH, HEIGHT))
 
 
 def test_coco_box_moves_to_pixel_centres(tmp_path: Path) -> None:
@@ -65,7 +64,7 @@ def test_coco_box_moves_to_pixel_centres(tmp_path: Path) -> None:
     (fruit,) = found.instances
     assert fruit.box.tolist() == [1.5, 0.5, 6.5, 4.5]
     assert (fruit.class_name, fruit.confidence, fruit.mask) == ("cucumber", 1.0, None)
-    assert (found.clipped, found.refused) == ((False,), ())
+    assert (fruit.is_clipped, found.refused) == (False, ())
 
 
 def test_coco_polygons_join_to_one_mask(tmp_path: Path) -> None:
@@ -116,20 +115,20 @@ def test_names_as_windows_writes_them(name: str, tmp_path: Path) -> None:
 def test_pictures_are_found_by_name_stem_or_number(tmp_path: Path) -> None:
     file = read_instances(coco(tmp_path / "c.json", {"bbox": [2, 1, 5, 4]}))
     for name in ("row1/a.png", "a.png", "row1/a.jpg", "a"):
-        assert len(file.for_capture([name], WIDTH, HEIGHT).instances) == 1
+        assert len(file.for_capture([name], WIDTH, HEIGHT)[0]) == 1
     # Another row's picture of the same name is not the one that was labelled.
-    assert file.for_capture(["other/a.png"], WIDTH, HEIGHT).instances == ()
-    assert file.for_capture(["a", "walk/other/a.png"], WIDTH, HEIGHT).instances == ()
+    assert file.for_capture(["other/a.png"], WIDTH, HEIGHT)[0] == ()
+    assert file.for_capture(["a", "walk/other/a.png"], WIDTH, HEIGHT)[0] == ()
     # Its image id is no running number: the seventh capture of a folder is another picture.
-    assert file.for_capture(["b"], WIDTH, HEIGHT, frame=7).instances == ()
+    assert file.for_capture(["b"], WIDTH, HEIGHT, frame=7)[0] == ()
 
 
 def test_ids_count_only_where_a_file_has_no_names(tmp_path: Path) -> None:
     path = tmp_path / "r.json"
     path.write_text(json.dumps([{"image_id": 7, "category_id": 0, "bbox": [1, 1, 2, 2]}]))
     file = read_instances(path)
-    assert len(file.for_capture(["b"], WIDTH, HEIGHT, frame=7).instances) == 1
-    assert file.for_capture(["b"], WIDTH, HEIGHT, frame=8).instances == ()
+    assert len(file.for_capture(["b"], WIDTH, HEIGHT, frame=7)[0]) == 1
+    assert file.for_capture(["b"], WIDTH, HEIGHT, frame=8)[0] == ()
     assert file.coverage([(["b"], 7), (["c", ""], 8)]) == (["c"], [])
 
 
@@ -190,7 +189,7 @@ def test_bad_annotations_are_named_and_the_rest_goes_on(tmp_path: Path) -> None:
         )
     )
     assert [f.box.tolist() for f in found.instances] == [[14.5, 0.5, 19.5, 4.5]]
-    assert found.clipped == (True,)
+    assert [f.is_clipped for f in found.instances] == [True]
     assert read_instances(path).crowds == 1  # passed over
     faults = [
         "no area inside the picture",
@@ -260,7 +259,7 @@ def test_yolo_boxes_beyond_the_edge_are_cut_and_bad_lines_named(tmp_path: Path) 
     found = get(yolo(tmp_path / "l", "a.txt", *lines, "0 0.5 0.5", "x 0 0 1 1", "-1 0 0 1 1"))
     (fruit,) = found.instances
     assert fruit.box.tolist() == pytest.approx([-0.5, 2.5, 2.5, 6.5])
-    assert found.clipped == (True,)
+    assert [f.is_clipped for f in found.instances] == [True]
     told = [str(r) for r in found.refused]
     assert ["line 2: " in told[0], "line 3: " in told[1], "line 4: " in told[2]] == [True] * 3
     assert "outside 0 to 1" in told[0]
@@ -273,7 +272,7 @@ def test_same_name_twice_is_refused(tmp_path: Path) -> None:
     items = [{"file_name": f"{d}/a.png", "bbox": [1, 1, 2, 2]} for d in "xy"]
     path.write_text(json.dumps(items), encoding="utf-8")
     file = read_instances(path)
-    assert len(file.for_capture(["x/a.png"], WIDTH, HEIGHT).instances) == 1
+    assert len(file.for_capture(["x/a.png"], WIDTH, HEIGHT)[0]) == 1
     with pytest.raises(InstancesError, match=r"names a\.png 2 times"):
         file.for_capture(["a.png"], WIDTH, HEIGHT)
 
@@ -292,8 +291,8 @@ def test_same_name_twice_is_refused(tmp_path: Path) -> None:
 def test_what_label_tools_add_to_names_is_left_out(tmp_path: Path, label: str) -> None:
     file = read_instances(coco(tmp_path / "c.json", {"bbox": [2, 1, 5, 4]}, file_name=label))
     names = ["color_1", "/home/ana/walk/color_1.png"]
-    assert len(file.for_capture(names, WIDTH, HEIGHT).instances) == 1
-    assert file.for_capture(["color_11", "walk/color_11.png"], WIDTH, HEIGHT).instances == ()
+    assert len(file.for_capture(names, WIDTH, HEIGHT)[0]) == 1
+    assert file.for_capture(["color_11", "walk/color_11.png"], WIDTH, HEIGHT)[0] == ()
 
 
 @pytest.mark.parametrize(
@@ -353,7 +352,7 @@ def test_outlines_are_not_taken_for_keypoints(tmp_path: Path) -> None:
         lines.append("0 " + " ".join(f"{share:.6f}" for share in shares.ravel()))
     alone = [parse_yolo_line(line, "line 1", []) for line in lines]
     assert sum(record.box is not None for record in alone) < 0.003 * len(lines)
-    (picture,) = read_labels(yolo(tmp_path / "l", "a.txt", *lines))
+    (picture,) = read_instances(yolo(tmp_path / "l", "a.txt", *lines)).pictures
     assert all(isinstance(r, LabelledInstance) and r.polygons for r in picture.records)
 
 

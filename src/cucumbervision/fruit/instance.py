@@ -63,6 +63,7 @@ class MaskSource(StrEnum):
 
 
 _FAR_PX = 1e6  # from the image
+_ROUNDING_PX = 0.51  # boxes relative to the corner of the image extend half a pixel beyond it
 _OWN_SIZE = "give masks of the picture's own size"
 _CORNERS = "give x1, y1, x2, y2 in pixels, the corners from the upper left to the lower right"
 
@@ -96,6 +97,8 @@ class Instance:
     input_size_px : int, optional
         Long side of the network input that it was found at, pixels; None if it is not from a
         network.
+    is_clipped : bool
+        Whether the box extended beyond the image and was clipped to it.
     """
 
     box: Array
@@ -108,6 +111,7 @@ class Instance:
     mask_failure: str = ""
     end_confidence: float | None = None
     input_size_px: int | None = None
+    is_clipped: bool = False
 
     def __post_init__(self) -> None:
         for name in ("mask", "detector_mask"):
@@ -217,9 +221,11 @@ def in_picture(instance: Instance, width: int, height: int) -> Instance:
     _require(not (opposite <= corner).any(), fault, _CORNERS)
     confidence, remedy = float(instance.confidence), "give a number from 0 to 1"
     _require(0 <= confidence <= 1, f"the confidence is {confidence:g}", remedy)
+    inside = np.concatenate([corner, opposite])
     return replace(
         instance,
-        box=np.concatenate([corner, opposite]),
+        box=inside,
+        is_clipped=instance.is_clipped or bool(np.abs(inside - box).max() > _ROUNDING_PX),
         confidence=confidence,
         keypoints=keypoints,
         mask_failure=instance.mask_failure if instance.mask_failure in MASK_FAILURES else "",

@@ -78,8 +78,8 @@ class LabelledInstance:
     is_crowd: bool = False
     entry: Mapping[str, Any] = field(default_factory=dict)
 
-    def in_picture(self, width: int, height: int) -> tuple[Instance, bool]:
-        """Return the instance in a picture of this size, and whether its box was clipped to it.
+    def in_picture(self, width: int, height: int) -> Instance:
+        """Return the instance in an image of this size, with its box clipped to it.
 
         An outline that is the four corners of a rectangle is a box without a mask.
 
@@ -114,8 +114,9 @@ class LabelledInstance:
             mask=mask,
             mask_source=None if mask is None else MaskSource.DATASET,
             keypoints=keypoints,
+            is_clipped=bool(is_clipped),
         )
-        return in_picture(instance, width, height), bool(is_clipped)
+        return in_picture(instance, width, height)
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,62 +145,30 @@ class LabelledImage:
 
 
 @dataclass(frozen=True, eq=False)
-class LabelFile:
-    """Contents of a label file.
-
-    Parameters
-    ----------
-    pictures : list of LabelledImage
-        Its pictures.
-    class_names : list of str
-        Its classes, without groups of classes.
-    refused : list of InstancesError
-        Errors of unreadable pictures.
-    """
-
-    pictures: list[LabelledImage]
-    class_names: list[str]
-    refused: list[InstancesError]
-
-
-@dataclass(frozen=True, eq=False)
-class FileInstances:
-    """A file's instances for one picture.
-
-    Parameters
-    ----------
-    instances : tuple of Instance
-        In the file's order; boxes lie within the picture.
-    clipped : tuple of bool
-        For each instance, whether its box was clipped to the picture.
-    refused : tuple of InstancesError
-        Errors of unusable entries, with their place in the file.
-    """
-
-    instances: tuple[Instance, ...]
-    clipped: tuple[bool, ...]
-    refused: tuple[InstancesError, ...]
-
-
-@dataclass(frozen=True, eq=False)
 class InstanceFile:
-    """A file of instances for many pictures; `read_instances` makes it.
+    """A file of instances for many images; `read_instances` makes it.
 
     Parameters
     ----------
     source : str
         The file or folder.
-    pictures : tuple of LabelledImage
-        Its entries by picture.
+    pictures : list of LabelledImage
+        Its entries by image.
+    class_names : list of str
+        Its classes, without groups of classes.
+    refused : list of InstancesError
+        Errors of unreadable images.
     """
 
     source: str
-    pictures: tuple[LabelledImage, ...]
+    pictures: list[LabelledImage]
+    class_names: list[str] = field(default_factory=list)
+    refused: list[InstancesError] = field(default_factory=list)
 
     def for_capture(
         self, names: Sequence[str], width: int, height: int, *, frame: int | None = None
-    ) -> FileInstances:
-        """Return the instances of one picture.
+    ) -> tuple[tuple[Instance, ...], tuple[InstancesError, ...]]:
+        """Return the instances of one image, and the errors of its unusable entries.
 
         Parameters
         ----------
@@ -214,8 +183,11 @@ class InstanceFile:
 
         Returns
         -------
-        FileInstances
-            Empty where the file does not name the picture (`coverage` lists those).
+        instances : tuple of Instance
+            In the file's order; empty where the file does not name the image (`coverage` lists
+            those). Boxes lie within the image.
+        refused : tuple of InstancesError
+            With the place of each entry in the file.
 
         Raises
         ------
@@ -225,7 +197,7 @@ class InstanceFile:
         """
         picture = self.find(names, frame)
         if picture is None:
-            return FileInstances((), (), ())
+            return (), ()
         name, size = picture.name or picture.number, f"{width}x{height}"
         if picture.size_px is not None and picture.size_px != (width, height):
             own = "x".join(map(str, picture.size_px))
@@ -240,24 +212,23 @@ class InstanceFile:
             remedy = f"at most {most_masks} are read; give the picture in parts"
             raise InstancesError(fault, source=self.source, remedy=remedy)
         refused = [record for record in picture.records if isinstance(record, InstancesError)]
-        entries: list[tuple[str, Instance, bool]] = []
+        entries: list[tuple[str, Instance]] = []
         for record in records:
             entry = entry_or_error(record.where, self.source, record.in_picture, width, height)
             if isinstance(entry, InstancesError):
                 refused.append(entry)
             else:
-                entries.append((record.where, *entry))
+                entries.append((record.where, entry))
         single = []
-        for number, (where, instance, is_clipped) in enumerate(entries):
+        for number, (where, instance) in enumerate(entries):
             other, is_same = _label_of_same(number, entries)
             if not is_same:
-                single.append((instance, is_clipped))
+                single.append(instance)
             if other:
                 words = "the fruit of %s again, and is left out" if is_same else "part of %s too"
                 place = self.source, picture.name, where, other
                 _log.warning(f"%s: %s: %s labels {words}; label each fruit once", *place)
-        instances, clipped = zip(*single, strict=True) if single else ((), ())
-        return FileInstances(instances, clipped, tuple(refused))
+        return tuple(single), tuple(refused)
 
     @property
     def crowds(self) -> int:
@@ -342,20 +313,35 @@ def read_instances(path: Path | str) -> InstanceFile:
     Raises
     ------
     InstancesError
-        If the file is missing, or has none of these formats.
+        If the file is missing, has none of these formats, or one of its images cannot be read.
     """
     path = Path(path)
-    return InstanceFile(str(path), tuple(read_labels(path)))
+    if path.is_dir():
+        for place in (path, path / "labels"):
+            if files := sorted(f for f in place.glob("*.txt") if f.name != "classes.txt"):
+                names = _yolo_classes(place) or _yolo_classes(path)
+                return _read_yolo(path, files, names)
+        raise InstancesError("holds no label files", source=path, remedy="give YOLO txt files")
+    if not path.is_file():
+        raise InstancesError("there is no such file", source=path, remedy="check the path")
+    if path.suffix.lower() == ".json":
+        labels = parse_coco(read_json(path, InstancesError), path)
+        if labels.refused:
+            raise labels.refused[0]
+        return labels
+    if path.suffix.lower() == ".txt":
+        return _read_yolo(path, [path], _yolo_classes(path.parent))
+    raise InstancesError("unknown kind of file", source=path, remedy="give COCO JSON or YOLO txt")
 
 
 # Intersection over union of boxes; share of a mask in a larger one.
 _SAME_FRUIT, _INSIDE, _IN_PART = 0.85, 0.8, 0.3
 
 
-def _label_of_same(number: int, entries: Sequence[tuple[str, Instance, bool]]) -> tuple[str, bool]:
+def _label_of_same(number: int, entries: Sequence[tuple[str, Instance]]) -> tuple[str, bool]:
     """Return the place of a larger or earlier label of the same fruit, and whether of all of it."""
     instance, in_part = entries[number][1], ""
-    for k, (where, other, _) in enumerate(entries):
+    for k, (where, other) in enumerate(entries):
         iou = box_iou(instance.box, other.box)
         if k == number or iou == 0 or instance.class_name != other.class_name:
             continue
@@ -371,38 +357,7 @@ def _label_of_same(number: int, entries: Sequence[tuple[str, Instance, bool]]) -
     return in_part, False
 
 
-def read_labels(path: Path) -> list[LabelledImage]:
-    """Read COCO JSON, a YOLO txt file, or a folder of YOLO txt files named as their pictures.
-
-    Parameters
-    ----------
-    path : Path
-        As for `read_instances`.
-
-    Raises
-    ------
-    InstancesError
-        If there is no such file, it is none of these, or one of its pictures cannot be read.
-    """
-    if path.is_dir():
-        for place in (path, path / "labels"):
-            if files := sorted(f for f in place.glob("*.txt") if f.name != "classes.txt"):
-                names = _yolo_classes(place) or _yolo_classes(path)
-                return _read_yolo(files, names)
-        raise InstancesError("holds no label files", source=path, remedy="give YOLO txt files")
-    if not path.is_file():
-        raise InstancesError("there is no such file", source=path, remedy="check the path")
-    if path.suffix.lower() == ".json":
-        labels = parse_coco(read_json(path, InstancesError), path)
-        if labels.refused:
-            raise labels.refused[0]
-        return labels.pictures
-    if path.suffix.lower() == ".txt":
-        return _read_yolo([path], _yolo_classes(path.parent))
-    raise InstancesError("unknown kind of file", source=path, remedy="give COCO JSON or YOLO txt")
-
-
-def parse_coco(data: Any, path: Path) -> LabelFile:
+def parse_coco(data: Any, path: Path) -> InstanceFile:
     """Parse COCO annotations (a dict of images and annotations) or results (a list).
 
     Raises
@@ -441,7 +396,8 @@ def parse_coco(data: Any, path: Path) -> LabelFile:
         picture = pictures.setdefault(key, LabelledImage(name, number, None))
         record = entry_or_error(where, path, _coco_record, item, where, names, is_annotated)
         picture.records.append(record)
-    return LabelFile(list(pictures.values()), list(dict.fromkeys(names[i] for i in ids)), refused)
+    class_names = list(dict.fromkeys(names[i] for i in ids))
+    return InstanceFile(str(path), list(pictures.values()), class_names, refused)
 
 
 def _coco_image(image: Any) -> LabelledImage:
@@ -490,13 +446,13 @@ def _yolo_classes(folder: Path) -> list[str]:
     return read_text(path, InstancesError).split("\n") if path.is_file() else []
 
 
-def _read_yolo(files: Sequence[Path], names: Sequence[str]) -> list[LabelledImage]:
+def _read_yolo(source: Path, files: Sequence[Path], names: Sequence[str]) -> InstanceFile:
     pictures = [read_yolo_file(file, names) for file in files]
     records = [r for p in pictures for r in p.records if isinstance(r, LabelledInstance)]
     # Of few points, one outline in some hundred looks like keypoints without visibility.
     if any(r.polygons for r in records) and any(r.entry for r in records):
         pictures = [read_yolo_file(file, names, _NO_KEYPOINTS) for file in files]
-    return pictures
+    return InstanceFile(str(source), pictures)
 
 
 def read_yolo_file(

@@ -42,8 +42,6 @@ class Detections:
     ----------
     instances : tuple of Instance
         The instances, with the mask to measure if there is one.
-    clipped : frozenset of int
-        Indices of instances that extended beyond the image and were clipped.
     refused : tuple of CucumberVisionError
         Errors of entries of a file that are no valid instances of this image.
     stages : frozenset of str
@@ -61,7 +59,6 @@ class Detections:
     """
 
     instances: tuple[Instance, ...]
-    clipped: frozenset[int] = frozenset()
     refused: tuple[CucumberVisionError, ...] = ()
     stages: frozenset[str] = frozenset()
     labels: tuple[str, ...] = ()
@@ -79,7 +76,6 @@ class Detections:
         return replace(
             self,
             instances=tuple(self.instances[k] for k in chosen),
-            clipped=frozenset(n for n, k in enumerate(chosen) if k in self.clipped),
             left_out=Counter(instance.class_name for instance in excluded),
         )
 
@@ -365,9 +361,6 @@ def dataset_instances(capture: Capture) -> tuple[Instance, ...]:
     )
 
 
-_ROUNDING_PX = 0.51  # boxes relative to the corner of the image extend half a pixel beyond it
-
-
 def _finder_of(plugin: Plugin, detector: Detector) -> Find:
     """Return the finder that a detector is; an installed one is a stage, which can be resumed."""
     installed = plugins("detectors").get(plugin.name) == plugin
@@ -375,19 +368,15 @@ def _finder_of(plugin: Plugin, detector: Detector) -> Find:
 
     def find(capture: Capture) -> Detections:
         instances: list[Instance] = []
-        clipped: set[int] = set()
         refused: list[CucumberVisionError] = []
         answers = plugin.call(lambda: tuple(detector(capture)))
         for number, instance in enumerate(answers, 1):
             try:
                 inside = plugin.call(partial(in_picture, instance, capture.width, capture.height))
+                instances.append(inside)
             except InstancesError as error:
                 refused.append(error.at(f"{capture.source or capture.name}, instance {number}"))
-                continue
-            if np.abs(inside.box - np.asarray(instance.box)).max() > _ROUNDING_PX:
-                clipped.add(len(instances))
-            instances.append(inside)
-        return Detections(tuple(instances), frozenset(clipped), tuple(refused), stages)
+        return Detections(tuple(instances), tuple(refused), stages)
 
     return find
 
@@ -431,9 +420,9 @@ def _file_finder(path: Path) -> Find:
 
     def find(capture: Capture) -> Detections:
         names = (capture.name, capture.source)
-        listed = file.for_capture(names, capture.width, capture.height, frame=capture.frame)
-        cut = frozenset(k for k, clipped in enumerate(listed.clipped) if clipped)
-        return Detections(listed.instances, cut, listed.refused)
+        return Detections(
+            *file.for_capture(names, capture.width, capture.height, frame=capture.frame)
+        )
 
     return find
 

@@ -365,8 +365,9 @@ class Measurer:
             for k, (instance, tube) in enumerate(pairs)
         ]
         fruit = self._judged(capture, measured)
-        for number in detections.clipped:
-            fruit[number] = fruit[number].flagged(Flag.BOX_CLIPPED)
+        for number, instance in enumerate(detections.instances):
+            if instance.is_clipped:
+                fruit[number] = fruit[number].flagged(Flag.BOX_CLIPPED)
         for number in detections.unmasked:
             fruit[number] = fruit[number].flagged(Flag.PLUGIN_FAILED)
         errors = {str(error): error for measurement in fruit for error in measurement.errors}

@@ -260,7 +260,7 @@ def _label(record: LabelledInstance, width: int, height: int, names: Sequence[st
     box = np.zeros(4) if record.box is None or record.normalised else record.box
     if (box[:2] < -slack).any() or (box[2:] > size + slack).any():
         raise ValueError(f"its box extends beyond the picture of {width}x{height}")
-    instance, _ = record.in_picture(width, height)
+    instance = record.in_picture(width, height)
     entry, points = record.entry, instance.keypoints
     if points is not None:
         points = points * [1, 1, 2]

@@ -146,30 +146,12 @@ def test_the_tables_hold_scores_and_each_length(run: Path, table: Path, tmp_path
     assert float(lengths[0]["M3_cm"]) == pytest.approx(100 * (reading.lengths_m["M3"] or 0))
 
 
-def test_csv_and_json_of_one_run_say_the_same(run: Path, table: Path, tmp_path: Path) -> None:
-    alone = tmp_path / "measurements.csv"
-    alone.write_bytes((run / "measurements.csv").read_bytes())
-    by_csv, by_json = evaluated(alone, table), evaluated(run / "measurements.json", table)
-    assert [s.method for s in by_csv.scores] == [s.method for s in by_json.scores if s.measured > 0]
-    assert [reading.lengths_m["M3"] for _, reading in by_csv.pairs] == [
-        reading.lengths_m["M3"] for _, reading in by_json.pairs
-    ]
-    european = tmp_path / "excel.csv"
-    text = alone.read_text(encoding="utf-8-sig").replace(",", ";").replace(".", ",")
-    european.write_text(text, encoding="utf-8-sig")
-    assert [s.mae_cm for s in evaluated(european, table).scores] == [
-        s.mae_cm for s in by_csv.scores
-    ]
-
-
 @pytest.mark.parametrize(
     ("name", "content", "text"),
     [
         ("measurements.json", "{}", "holds no fruit"),
         ("measurements.json", "{", "is not JSON"),
-        ("measurements.csv", "a,b\n1,2\n", "holds no measurements"),
-        ("measurements.csv", "capture,fruit,length_cm\n", "holds no fruit"),
-        ("measurements.csv", "capture,fruit,length_cm\na,x,3\n", "is damaged or of another form"),
+        ("measurements.json", '{"captures": [{}]}', "has no 'fruit'"),
         ("other.txt", "", "the file is missing; give the folder"),
     ],
 )

@@ -182,13 +182,6 @@ def test_two_cameras_are_refused(site: Path, tmp_path: Path) -> None:
         )
 
 
-def test_without_a_camera_there_is_no_calibration(site: Path, tmp_path: Path) -> None:
-    table = tmp_path / "measurements.csv"
-    table.write_bytes((site / "run" / "measurements.csv").read_bytes())
-    with pytest.raises(CalibrationError, match="does not say which camera"):
-        calibrate_lengths(read_measured(table), read_truth(site / "truth.csv"), "x")
-
-
 def test_what_a_run_was_measured_with_is_carried_on(site: Path, tmp_path: Path) -> None:
     scale = DepthScaleEntry(
         value=1.02, standard_error=0.002, spread=0.001, captures=3, spacing_m=0.01

@@ -14,15 +14,7 @@ import numpy as np
 
 from cucumbervision.about import code_sha256
 from cucumbervision.accuracy.statistics import Metrics, ReportTable, estimate, percent_errors, score
-from cucumbervision.accuracy.truth import (
-    MISSED,
-    Floor,
-    TrueLength,
-    Truth,
-    floor_of,
-    parse_number,
-    read_table,
-)
+from cucumbervision.accuracy.truth import MISSED, Floor, TrueLength, Truth, floor_of
 from cucumbervision.errors import (
     CucumberVisionError,
     Message,
@@ -330,7 +322,7 @@ REPORTED = "reported"
 _COLUMNS = {f"M{k}": f"m{k}_cm" for k in range(1, 7)}
 _COLUMNS |= {"M6 thread": "thread_cm", "M6 chord": "chord_cm"}
 _LONGEST_CM = 10_000
-_REMEDY = "give the folder of a `measure` run, or its measurements.json or measurements.csv"
+_REMEDY = "give the folder of a `measure` run, or its measurements.json"
 
 
 @dataclass(frozen=True)
@@ -387,9 +379,9 @@ class Measured:
     readings : tuple of Reading
         Readings in the order of the file.
     captures : tuple of str
-        All captures, including those without fruit if the file lists them.
+        All captures, including those without fruit.
     report : mapping
-        Contents of `measurements.json`, for camera and provenance; empty without it.
+        Contents of `measurements.json`, for camera and provenance.
     """
 
     path: Path
@@ -404,37 +396,18 @@ def read_measured(path: Path) -> Measured:
     Parameters
     ----------
     path : Path
-        Folder of a `measure` run, its `measurements.json`, or its `measurements.csv`. With the CSV,
-        camera and provenance come from the JSON in the same folder, if there is one.
+        Folder of a `measure` run, its `measurements.json`, or a table beside that file.
 
     Raises
     ------
     CucumberVisionError
         If the file is not the output of a run, or contains no fruit.
     """
-    tables = [path / "measurements.json", path / "measurements.csv"] if path.is_dir() else [path]
-    path = next((table for table in tables if table.exists()), tables[0])
-    report_path = path.with_suffix(".json")
+    path = path / "measurements.json" if path.is_dir() else path.with_suffix(".json")
+    report = read_json(path, CucumberVisionError, _REMEDY)
     with wrap_reader_errors(path, remedy=_REMEDY):
-        is_report = path == report_path or report_path.exists()
-        report = read_json(report_path, CucumberVisionError, _REMEDY) if is_report else {}
         captures = report.get("captures", [])
-        names = [str(capture["name"]) for capture in captures]
         rows = [row for capture in captures for row in capture["fruit"]]
-        if path != report_path:
-            head, lines = read_table(path)
-            names, rows = (
-                [],
-                [
-                    {
-                        k: parse_number(v) if k.endswith(("_cm", "fruit")) else v
-                        for k, v in line.items()
-                    }
-                    for line in lines.values()
-                ],
-            )
-            if not {"capture", "fruit", "length_cm"} <= set(head):
-                raise CucumberVisionError("holds no measurements", source=path, remedy=_REMEDY)
         asked = report.get("config", {}).get("methods", [])
         ran = [
             key
@@ -444,8 +417,7 @@ def read_measured(path: Path) -> Measured:
         readings = tuple(_reading(row, ran) for row in rows)
     if not readings:
         raise CucumberVisionError("holds no fruit", source=path, remedy="measure captures first")
-    taken = tuple(dict.fromkeys([*names, *(r.capture for r in readings)]))
-    return Measured(path, readings, taken, report)
+    return Measured(path, readings, tuple(str(capture["name"]) for capture in captures), report)
 
 
 def _reading(row: Mapping[str, Any], ran: Sequence[str]) -> Reading:

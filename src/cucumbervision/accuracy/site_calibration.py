@@ -40,7 +40,7 @@ def calibrate_lengths(measured: Measured, truth: Truth, name: str) -> SiteCalibr
     Parameters
     ----------
     measured : Measured
-        A run of `measure` with its JSON file.
+        A run of `measure`.
     truth : Truth
         Manual lengths of its fruit.
     name : str
@@ -54,16 +54,10 @@ def calibrate_lengths(measured: Measured, truth: Truth, name: str) -> SiteCalibr
     Raises
     ------
     CalibrationError
-        If the camera is unknown, or several cameras were used.
+        If several cameras were used.
     TruthError
         If the manual lengths do not match the run.
     """
-    if not measured.report:
-        raise CalibrationError(
-            "does not say which camera took the captures",
-            source=measured.path,
-            remedy="give the folder of the run, with its measurements.json",
-        )
     with wrap_reader_errors(measured.path, CalibrationError, "measure again"):
         run = _run_of(measured)
     pairs = match_truth(measured, truth)

@@ -51,7 +51,8 @@ _WAIST_SHARE = 0.72  # of the largest radius: a narrower place between wider par
 _GAP_BEHIND, _NOTCH_BEHIND, _GAP_SHARE, _GAP_RADII, _GAP_READINGS = 1.2, 2.0, 0.8, 0.2, 6
 # In radii: the ring that defines the plane; the minimum height of a fruit above it (real ones 1.4
 # to 2.5 above a table); the roughness of planes (0.3 for printed paper, at least 0.4 for leaves).
-_PLANE_RING_RADII, _LEAST_HEIGHT_RADII, _ROUGHNESS_RADII, _PLANE_STEPS = (-1.2, -0.15), 0.5, 0.3, 4
+_PLANE_RING_RADII, _LEAST_HEIGHT_RADII, _ROUGHNESS_RADII = (-1.2, -0.15), 0.5, 0.3
+_PLANE_STEPS, _PLANE_READINGS = 4, 500
 # Readings in the outline that lie so many radii behind the surface around them, and their share in
 # three quarters of the sections: that of a rim of 2 px, within limits; distance from the plane.
 _BEHIND_RADII, _IN_PLANE_RADII, _BESIDE_PX, _BESIDE_SHARES = 4.0, 0.3, 2.1, (0.07, 0.25)
@@ -65,8 +66,9 @@ _NETWORK_PX = (
 )
 _ONE_VALUE_SHARE = 0.6  # real skin has one value on at most 0.23 of its pixels
 # Width of a stem and of the shoulder half a radius behind it, relative to the fruit's; a tip tapers
-# slowly. Least length of a stem with such a shoulder, and of one without, in radii.
-_STEM_WIDTH, _SHOULDER_WIDTH, _STEM_RADII, _TAPER_RADII = 0.35, 0.86, 0.45, 1.0
+# slowly. Minimum length of a stem with such a shoulder, and of one without, and how far what is
+# beside it lies behind the fruit, in radii.
+_STEM_WIDTH, _SHOULDER_WIDTH, _STEM_RADII, _TAPER_RADII, _CLEAR_RADII = 0.35, 0.86, 0.4, 1.0, 0.8
 # Surface that goes on beyond an end.
 _BEYOND_RADII, _BLUR_PX = np.array([0.2, 0.7]), np.array([5.0, 9.0])
 _BEYOND_SHARE, _SURFACE_RADII, _SAME_COLOR = 0.75, 0.5, 45.0
@@ -128,7 +130,7 @@ def depth_doubts(
     if body.readings_m.size < MIN_READINGS:
         return (Flag.DEPTH_SPARSE,) if is_sparse else ()
     is_too_near = body.distance_m < _NEAREST_M
-    offset_px = _outline_offset_px(depth_m, mask, body)
+    offset_px = _outline_offset_px(depth_m, body)
     least_px = _NETWORK_PX if by_network else _LOOSE_PX
     is_loose = abs(offset_px) > max(least_px, _LOOSE_SHARE * body.scale * np.ptp(body.ends))
     is_short = is_loose and offset_px > 0
@@ -148,20 +150,22 @@ def depth_doubts(
         Flag.DEPTH_UNALIGNED: is_elsewhere,
         Flag.DEPTH_COARSE: is_coarse and not is_too_near,
     }
-    # Wrong depth says nothing of an outline.
+    # Wrong depth says nothing of an outline, and an outline of several pieces no lower bound.
     doubts[Flag.OUTLINE_STEM] = not any(doubts.values()) and _has_stem(body)
-    doubts[Flag.OUTLINE_SHORT] = not any(doubts.values()) and (
+    is_short = not any(doubts.values()) and (
         is_short or any(_goes_on(body, end, color) for end in (-1, 1))
     )
+    doubts[Flag.DEPTH_GAP if is_short and _pieces(body) else Flag.OUTLINE_SHORT] = is_short
     return tuple(flag for flag, holds in doubts.items() if holds)
 
 
 class _Body:
-    """A fruit that lies along the columns of a strip cut out of the picture.
+    """A fruit that lies along the columns of a strip cut out of the image.
 
     Its radius has about `_BODY_PX` pixels at most, and distances are in pixels of the strip, of
-    `scale` pixels of the picture each. `turn` leads from the strip to the picture; `off_m` is how
-    far readings lie behind `line`, NaN without one.
+    `scale` pixels of the image each. `turn` leads from the strip to the image; `off_m` is how
+    far readings lie behind `line`, NaN without one. `outline` is the mask with the strip's columns
+    and the rows of the image, to which `outline_turn` leads.
     """
 
     def __init__(self, depth_m: Depth, mask: Mask, focal_px: float) -> None:
@@ -181,8 +185,15 @@ class _Body:
         columns = np.flatnonzero(self.mask.any(axis=0))
         self.ends = (int(columns[0]), int(columns[-1])) if len(columns) else (0, 0)
         self.line = self.near_line(self.depth_m, self.read)
+        self.off_m = self.behind_line(self.depth_m)
+        self.outline_turn = self.turn / [1.0, self.scale, 1.0]
+        rows = int(np.ceil(self.scale * size[1]))
+        self.outline = _warped(mask.view(np.uint8), self.outline_turn, (size[0], rows)) > 0
+
+    def behind_line(self, depth_m: Depth) -> Places:
+        """Return how far depth, with the columns of the strip, lies behind the line."""
         start_m, slope = self.line or (np.nan, 0.0)
-        self.off_m = self.depth_m - start_m - slope * np.arange(size[0])
+        return np.asarray(depth_m - start_m - slope * np.arange(depth_m.shape[1]))
 
     def between(self, least: float, most: float = np.inf) -> Mask:
         """Return what is read from so many radii inside the outline; negative outside it."""
@@ -214,12 +225,12 @@ class _Body:
         if np.count_nonzero(near) < MIN_READINGS:
             return None
         lines = [
-            ((part.start + part.stop - 1) / 2, np.percentile(readings, _NEAREST_PERCENT))
+            ((part.start + part.stop - 1) / 2, _nearest_m(readings))
             for part in self.sections(_SECTIONS)
             if len(readings := depth_m[:, part][near[:, part]]) >= MIN_READINGS // 2
         ]
         if len(lines) < 3:
-            return float(np.percentile(depth_m[near], _NEAREST_PERCENT)), 0.0
+            return _nearest_m(depth_m[near]), 0.0
         # Theil and Sen: what hides one section does not turn the line.
         t, near_m = np.array(lines).T
         i, j = np.triu_indices(len(t), 1)
@@ -239,6 +250,11 @@ class _Body:
         near = slice(max(v - reach, 0), v + reach + 1), slice(max(u - reach, 0), u + reach + 1)
         readings = self.depth_m[near][self.mask[near] & self.read[near]]
         return float(quick_median(readings)) if len(readings) else np.nan
+
+
+def _nearest_m(readings_m: Depth) -> float:
+    rank = int(_NEAREST_SHARE * len(readings_m))
+    return float(np.partition(readings_m, rank)[rank])
 
 
 def _strip(mask: Mask) -> tuple[Places, tuple[int, int]]:
@@ -284,11 +300,14 @@ def _has_gap(body: _Body) -> bool:
 
     Parts are connected components, or the wide parts beside a waist (two fruit end to end).
     """
-    pieces = _parts(body.depth_radii > _LINE_RADII, _LEAST_PIECE)
-    if any(_is_open(body, *_nearest(piece, rest)) for piece, rest in pieces):
+    if any(_is_open(body, *_nearest(piece, rest)) for piece, rest in _pieces(body)):
         return True
     worn = _parts(body.depth_radii >= _WAIST_SHARE, _LEAST_PART)
     return any(_is_notched(body, *_nearest(part, rest)) for part, rest in worn)
+
+
+def _pieces(body: _Body) -> list[tuple[Mask, Mask]]:
+    return _parts(body.depth_radii > _LINE_RADII, _LEAST_PIECE)
 
 
 def _parts(core: Mask, least: float) -> list[tuple[Mask, Mask]]:
@@ -365,7 +384,8 @@ def _lies_in_plane(body: _Body) -> bool:
     if min(np.count_nonzero(around), np.count_nonzero(middle)) < MIN_READINGS:
         return False
     v, u = np.nonzero(around)
-    places, z_m = np.stack([u, v, np.ones(len(u))], axis=1), body.depth_m[around]
+    v, u = (axis[:: 1 + len(v) // _PLANE_READINGS] for axis in (v, u))
+    places, z_m = np.stack([u, v, np.ones(len(u))], axis=1), body.depth_m[v, u]
     fits = np.ones(len(z_m), bool)
     for _ in range(_PLANE_STEPS):
         known = places[fits]
@@ -397,20 +417,17 @@ def _lies_behind(body: _Body) -> bool:
     return body.has_all_along(body.off_m > near_m + _BEHIND_RADII * body.radius_m)
 
 
-def _outline_offset_px(depth_m: Depth, mask: Mask, body: _Body) -> float:
+def _outline_offset_px(depth_m: Depth, body: _Body) -> float:
     """Return how far an outline lies within its fruit's edge in depth; negative beyond it.
 
-    At the picture's own resolution, along both long sides. 0 where depth shows no sharp edge along
-    them, as that of a stereo camera, which is a few pixels off its fruit.
+    In pixels of the image, along both long sides. 0 where depth shows no sharp edge along them, as
+    that of a stereo camera, which is a few pixels off its fruit.
     """
     if body.line is None:
         return 0.0
-    height, width = np.ceil(body.scale * np.array(body.mask.shape)).astype(int).tolist()
-    turn = body.turn / [body.scale, body.scale, 1.0]
-    outline = _warped(mask.view(np.uint8), turn, (width, height)) > 0
-    strip_m = _warped(depth_m, turn, (width, height))
-    behind_m = strip_m - body.line[0] - body.line[1] / body.scale * np.arange(width)
-    skin = valid_depth(strip_m) & (behind_m < _SKIN_RADII * body.radius_m)
+    outline = body.outline
+    strip_m = _warped(depth_m, body.outline_turn, outline.shape[::-1])
+    skin = valid_depth(strip_m) & (body.behind_line(strip_m) < _SKIN_RADII * body.radius_m)
     background = valid_depth(strip_m) & ~skin
     columns = np.flatnonzero(outline.any(axis=0))
     columns = columns[len(columns) // 6 : -len(columns) // 6]
@@ -419,7 +436,7 @@ def _outline_offset_px(depth_m: Depth, mask: Mask, body: _Body) -> float:
     for step in (1, -1):
         first = outline[::step, columns].argmax(axis=0)
         outer = np.maximum(first - 1 - steps, 0), columns
-        inner = np.minimum(first + steps, height - 1), columns
+        inner = np.minimum(first + steps, len(outline) - 1), columns
         skin_px, gap = skin[::step][outer], background[::step]
         offset_px = skin_px.sum(axis=0) - gap[inner].sum(axis=0)
         # Beyond its edge there is something else.
@@ -450,13 +467,13 @@ def _has_one_depth(body: _Body) -> bool:
 def _has_stem(body: _Body) -> bool:
     """Return whether an end of a mask is much narrower than the fruit, before what is behind."""
     first, last = body.ends
-    widths = body.mask.sum(axis=0) / (2.0 * body.radius_px)
+    widths = body.outline.sum(axis=0) / (2.0 * body.radius_px * body.scale)
     wide = np.flatnonzero(widths >= _STEM_WIDTH)
     if not len(wide):
         return False
     # A leaf that hides most of the width is nearer than the fruit.
     beside = body.between(-1, -1 / body.radius_px)
-    clear, half = body.off_m > body.radius_m, round(body.radius_px / 2)
+    clear, half = body.off_m > _CLEAR_RADII * body.radius_m, round(body.radius_px / 2)
     for narrow, shoulder in (
         (slice(first, wide[0]), min(wide[0] + half, last)),
         (slice(wide[-1] + 1, last + 1), max(wide[-1] - half, first)),
@@ -504,7 +521,7 @@ def _goes_on(body: _Body, end: int, color: NDArray[np.uint8] | None) -> bool:
 
 # Real fruit with correct depth do not exceed these limits; some drawn in heaps do, and most masks
 # that are moved across by a radius.
-_NEAREST_PERCENT, _NEAR_RADII, _SECTIONS = 20, 1.3, 5
+_NEAREST_SHARE, _NEAR_RADII, _SECTIONS = 0.2, 1.3, 5
 _SHIFTS, _MOVED_RADII = 13, 0.6
 _ALIGNED, _BETTER, _LEAST_KNOWN = 1.0, 0.8, 0.3
 _BESIDE_SCORES = -1.0, 0.8  # of a mask beside its fruit: more is on it, less is behind others

@@ -30,7 +30,7 @@ app = typer.Typer(
 @app.command()
 def lengths(
     measurements: Annotated[
-        Path, typer.Argument(help="Folder of a `measure` run, or its measurements.json or .csv.")
+        Path, typer.Argument(help="Folder of a `measure` run, or its measurements.json.")
     ],
     truth: Annotated[
         Path,

@@ -17,9 +17,9 @@ _SKIPPED: set[str] = set()
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
-    """Note a skipped test, without its parameters and the group that xdist adds to its name."""
+    """Note a skipped test, without its parameters."""
     if report.skipped:
-        _SKIPPED.add(report.nodeid.partition("[")[0].partition("@")[0])
+        _SKIPPED.add(report.nodeid.partition("[")[0])
 
 
 def pytest_collectreport(report: pytest.CollectReport) -> None:

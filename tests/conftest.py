@@ -1,7 +1,9 @@
 from __future__ import annotations
 
 import doctest
+import logging
 import os
+import shutil
 import subprocess
 import time
 from collections.abc import Callable, Iterator
@@ -288,3 +290,54 @@ def run(
         return subprocess.CompletedProcess(words, code, *capfd.readouterr())
 
     return run_here
+
+
+# A real browser. Its tests wait as long as a machine that does much else needs.
+
+PATIENCE_S = 300.0
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+FLAGS = (
+    *("--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"),
+    *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
+)
+SAID = logging.getLogger("page")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Give tests in a browser a limit that no busy machine reaches."""
+    for item in items:
+        if "browser" in getattr(item, "fixturenames", ()):
+            item.add_marker(pytest.mark.timeout(1800))
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """A real Chromium."""
+    playwright = pytest.importorskip("playwright.sync_api")
+    if CHROMIUM is None:
+        pytest.skip("Chromium is not installed")
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=CHROMIUM, args=list(FLAGS))
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def new_page(browser: Any) -> Iterator[Callable[..., Any]]:
+    """Open an empty page in a browser context of its own; a failure shows its log and its end."""
+    contexts: list[Any] = []
+
+    def opened(width: int = 1280, height: int = 800, **how: Any) -> Any:
+        page = browser.new_page(viewport={"width": width, "height": height}, **how)
+        page.set_default_timeout(1000 * PATIENCE_S)
+        page.on("console", lambda line: SAID.warning("console: %s", line.text))
+        page.on("pageerror", lambda error: SAID.warning("page error: %s", error))
+        page.on("requestfailed", lambda one: SAID.warning("%s: %s", one.url, one.failure))
+        contexts.append(page.context)
+        return page
+
+    yield opened
+    for context in contexts:
+        for page in context.pages:
+            SAID.warning("%s ends with: %s", page.url, page.evaluate("document.body.innerText"))
+        context.close()

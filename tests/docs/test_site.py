@@ -5,15 +5,15 @@ from __future__ import annotations
 import doctest
 import importlib.util
 import re
-import shutil
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import pytest
 
@@ -21,12 +21,6 @@ import cucumbervision
 
 ROOT = Path(__file__).parents[2]
 WRITTEN = [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")]
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
-FLAGS = (
-    *("--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"),
-    *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
-)
-PHONE = {"width": 390, "height": 844}
 
 
 def load_script(name: str) -> ModuleType:
@@ -75,23 +69,19 @@ def address(site: Path) -> Iterator[str]:
         server.shutdown()
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
-def test_pages_fit_a_phone_and_fetch_nothing_from_elsewhere(site: Path, address: str) -> None:
-    sync_playwright = pytest.importorskip("playwright.sync_api").sync_playwright
+def test_pages_fit_a_phone_and_fetch_nothing_from_elsewhere(
+    site: Path, address: str, new_page: Callable[..., Any]
+) -> None:
     asked: list[str] = []
     wrong: list[str] = []
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=list(FLAGS))
-        page = browser.new_page(viewport=PHONE)
-        page.on("request", lambda request: asked.append(request.url))
-        for file in sorted(site.rglob("index.html")):
-            page.goto(f"{address}{file.parent.relative_to(site).as_posix()}/")
-            if page.evaluate("document.documentElement.scrollWidth > innerWidth"):
-                wrong.append(f"{file}: wider than the phone")
-            broken = "[...document.images].some(one => !one.complete || !one.naturalWidth)"
-            if page.evaluate(broken):
-                wrong.append(f"{file}: a picture is missing")
-        browser.close()
+    page = new_page(390, 844)
+    page.on("request", lambda request: asked.append(request.url))
+    for file in sorted(site.rglob("index.html")):
+        page.goto(f"{address}{file.parent.relative_to(site).as_posix()}/")
+        if page.evaluate("document.documentElement.scrollWidth > innerWidth"):
+            wrong.append(f"{file}: wider than the phone")
+        if page.evaluate("[...document.images].some(one => !one.complete || !one.naturalWidth)"):
+            wrong.append(f"{file}: a picture is missing")
     assert wrong == []
     assert [url for url in asked if not url.startswith((address, "data:", "blob:"))] == []
     assert len(asked) > 30

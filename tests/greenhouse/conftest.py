@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import logging
 import os
 import shutil
 import socket
@@ -16,6 +15,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 import pytest
+from tests.conftest import PATIENCE_S
 
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.source import example_captures
@@ -28,13 +28,6 @@ from cucumbervision_greenhouse.store.repository import Store, open_store
 WALK = Round(key_of("walk"), "morning", "house 1", 1_700_000_000.0, "long-cucumber")
 LONG = Round(key_of("long walk"), "500 stops", "house 1", 1_700_100_000.0, "long-cucumber")
 FRUIT_PER_STOP = 5
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
-FLAGS = (
-    *("--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"),
-    *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
-)
-SAID = logging.getLogger("page")
-PATIENCE_S = 300.0  # on a machine that does much else; some seconds on an idle one
 
 
 def add_one(
@@ -56,13 +49,37 @@ def whole_stop(store: Store, key: str) -> StopRecord:
     return replace(stop, captures=tuple(captures), fruit=0)
 
 
-@pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Tests in a browser: a file's share one server, and no busy machine reaches their limit."""
-    for item in items:
-        if "browser" in getattr(item, "fixturenames", ()):
-            item.add_marker(pytest.mark.timeout(1800))
-            item.add_marker(pytest.mark.xdist_group(item.path.stem))
+def copy_round(store: Store, copy: Round, later_s: float = 0.0, **changes: Any) -> list[str]:
+    """Save the stops of `WALK` under another round, so much later; return the stops' keys."""
+    store.save_round(copy)
+    stops = [whole_stop(store, stop.key) for stop in store.stops(WALK.key)]
+    for stop in stops:
+        key, taken_s = key_of(copy.key, stop.key), stop.taken_s + later_s
+        store.save_stop(replace(stop, key=key, round_key=copy.key, taken_s=taken_s, **changes))
+    return [key_of(copy.key, stop.key) for stop in stops]
+
+
+def wait_until(condition: Callable[[], object]) -> None:
+    """Wait until a condition holds, as long as a busy machine needs."""
+    until = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < until, "waited in vain"
+        time.sleep(0.1)
+
+
+def copy_house(made: Path, folder: Path) -> Path:
+    """Copy a store with its images into a folder."""
+    path = folder / "house.db"
+    shutil.copyfile(made, path)
+    shutil.copytree(made.with_suffix(".images"), path.with_suffix(".images"))
+    return path
+
+
+def shot(page: Any, name: str, **options: Any) -> None:
+    """Keep a picture of a page where CUCUMBERVISION_ARTEFACTS names a folder."""
+    if folder := os.environ.get("CUCUMBERVISION_ARTEFACTS"):
+        page.wait_for_timeout(500)
+        page.screenshot(path=Path(folder) / f"{name}.png", **options)
 
 
 @pytest.fixture
@@ -112,9 +129,7 @@ def fresh_caches() -> Iterator[None]:
 @pytest.fixture
 def house(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The same, to be changed; the dashboard's pages open it."""
-    path = tmp_path / "house.db"
-    shutil.copyfile(made, path)
-    shutil.copytree(made.with_suffix(".images"), path.with_suffix(".images"))
+    path = copy_house(made, tmp_path)
     monkeypatch.setenv("CUCUMBERVISION_STORE", str(path))
     monkeypatch.setenv("CUCUMBERVISION_REPLAY", str(example_captures()))
     return path
@@ -231,36 +246,3 @@ def _answers(address: str, server: subprocess.Popen[bytes]) -> bool:
         except (urllib.error.URLError, OSError):
             time.sleep(0.2)
     return False
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    """A real Chromium."""
-    playwright = pytest.importorskip("playwright.sync_api")
-    if CHROMIUM is None:
-        pytest.skip("Chromium is not installed")
-    with playwright.sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=CHROMIUM, args=list(FLAGS))
-        yield browser
-        browser.close()
-
-
-@pytest.fixture
-def new_page(browser: Any) -> Iterator[Callable[..., Any]]:
-    """Open an empty page in a browser context of its own; a failure shows its log and its end."""
-    contexts: list[Any] = []
-
-    def opened(width: int = 1280, height: int = 800, **how: Any) -> Any:
-        page = browser.new_page(viewport={"width": width, "height": height}, **how)
-        page.set_default_timeout(1000 * PATIENCE_S)
-        page.on("console", lambda line: SAID.warning("console: %s", line.text))
-        page.on("pageerror", lambda error: SAID.warning("page error: %s", error))
-        page.on("requestfailed", lambda one: SAID.warning("%s: %s", one.url, one.failure))
-        contexts.append(page.context)
-        return page
-
-    yield opened
-    for context in contexts:
-        for page in context.pages:
-            SAID.warning("%s ends with: %s", page.url, page.evaluate("document.body.innerText"))
-        context.close()

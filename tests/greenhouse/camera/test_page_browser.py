@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
-import time
 from collections.abc import Callable, Iterator
 from datetime import datetime
 from pathlib import Path
@@ -13,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.greenhouse.conftest import PATIENCE_S
+from tests.greenhouse.conftest import PATIENCE_S, wait_until
 
 from cucumbervision.capture.source import example_captures
 from cucumbervision_greenhouse.store.records import Round, key_of
@@ -82,10 +81,7 @@ def opened(page: Any, walk: Walk) -> Any:
 
 
 def wait_for_stops(page: Any, walk: Walk, number: int) -> None:
-    for _ in range(600):
-        if len(walk.kept()) >= number:
-            break
-        page.wait_for_timeout(200)
+    wait_until(lambda: len(walk.kept()) >= number)
     page.wait_for_timeout(3000)  # one too many would come now
     assert len(walk.kept()) == number
 
@@ -212,29 +208,12 @@ def test_positions_are_in_the_unit_that_was_chosen(
         wait_for_stops(page, walk, number)
     assert position.input_value() == "8.00"
     with open_store(walk.store) as store:
-        while len(stops := store.stops(WALK.key)) < 2:
-            page.wait_for_timeout(500)
+        wait_until(lambda: len(store.stops(WALK.key)) == 2)
+        stops = store.stops(WALK.key)
     at_m = sorted(stop.position_m or 0.0 for stop in stops)
     assert at_m == pytest.approx([4 * 0.3048, 6 * 0.3048], abs=0.006)
     page.locator("#where").get_by_text("6.00 ft").wait_for()
     walk.kill()
-
-
-def test_two_tablets_press_into_one_round(walk: Walk, new_page: Callable[..., Any]) -> None:
-    first, second = (opened(new_page(has_touch=True), walk) for _ in range(2))
-    for _ in range(3):
-        for page in (first, second):
-            page.locator("button.take").tap()
-        first.wait_for_timeout(600)
-    wait_for_stops(second, walk, 6)
-    with open_store(walk.store) as store:
-        while len(stops := store.stops(WALK.key)) < 6:
-            first.wait_for_timeout(500)
-    assert sorted(stop.step or 0 for stop in stops) == [1, 2, 3, 4, 5, 6]
-    assert len({(stop.row, stop.side, stop.position_m) for stop in stops}) == 6
-    # Each sees the other's stops.
-    for page in (first, second):
-        page.locator("#where").get_by_text("Stop 6").wait_for()
 
 
 def test_presses_whose_pictures_a_kill_took_are_said_and_their_place_is_asked_for(
@@ -308,9 +287,7 @@ def test_presses_of_a_page_that_was_closed_offline_are_sent_by_another(
         page.get_by_text("waiting on this device").wait_for()
     second.close()
     context.set_offline(False)
-    until = time.monotonic() + PATIENCE_S
-    while len(kept(path)) < 2 and time.monotonic() < until:
-        first.wait_for_timeout(500)
+    wait_until(lambda: len(kept(path)) >= 2)
     first.wait_for_timeout(3000)  # one too many would come now
     assert len(kept(path)) == 2
     context.close()

@@ -9,7 +9,7 @@ import pytest
 
 pytest.importorskip("streamlit")
 
-from tests.greenhouse.pages.app_pages import WALK, app, said, tap, wait_for_jobs
+from tests.greenhouse.pages.app_pages import WALK, app, said, tables, tap, wait_for_jobs
 
 from cucumbervision.accuracy.calibration_file import read_site_calibration
 from cucumbervision.accuracy.own_truth import evaluate_lengths
@@ -43,6 +43,11 @@ def test_a_calibration_is_made_used_and_put_back_on_the_page(house: Path) -> Non
     assert by_hand in said(app("results", round=WALK, fruit=fruit[0].key))
     test = app("accuracy", round=WALK)
     assert "too short on average" in said(test)
+    errors = {line["Method"]: line for line in tables(test)[-1]}
+    assert errors["reported"]["Mean absolute error"] == "9.1 %"
+    # These captures bring their masks, so that M4 has no keypoints to measure by.
+    assert errors["M4"]["Measured"] == "0 %"
+    assert "A fruit that a method did not measure counts as an error" in said(test)
     tap(test, "Calibrate with these lengths")
     assert not test.exception
     assert "Lengths change by +10.0 %" in said(test)

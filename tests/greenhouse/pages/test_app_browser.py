@@ -5,7 +5,6 @@ Each test stands by itself: any of them may be the first that the server sees.
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -16,11 +15,12 @@ import pytest
 
 pytest.importorskip("streamlit")
 
+from tests.greenhouse.conftest import shot, wait_until
+
 from cucumbervision.capture.source import example_captures
 from cucumbervision_greenhouse.store.repository import open_store
 
 REDRAWS = 8  # what each of them would leave behind is found by the second
-TABLET, UPRIGHT = {"width": 1280, "height": 800}, {"width": 800, "height": 1280}
 
 
 @dataclass
@@ -30,7 +30,6 @@ class Dashboard:
     page: Any
     address: str
     store: Path
-    artefacts: Path | None
     hosts: set[str]
     faults: list[str]
 
@@ -49,20 +48,6 @@ class Dashboard:
             self.page.wait_for_timeout(200)
         raise AssertionError("the page is still being drawn")
 
-    def stops(self) -> int:
-        with open_store(self.store) as store:
-            return sum(one.stops for one in store.rounds())
-
-    def shot(self, name: str) -> None:
-        """Keep a picture of the whole page, at both ways of holding a tablet, where asked to."""
-        if self.artefacts is None:
-            return
-        for way, size in (("wide", TABLET), ("upright", UPRIGHT)):
-            self.page.set_viewport_size(size)
-            self.page.wait_for_timeout(400)
-            self.page.screenshot(path=self.artefacts / f"dashboard-{name}-{way}.png")
-        self.page.set_viewport_size(TABLET)
-
 
 @pytest.fixture(scope="module")
 def served(
@@ -77,15 +62,11 @@ def served(
 @pytest.fixture
 def dashboard(served: tuple[str, Path], new_page: Callable[[], Any]) -> Iterator[Dashboard]:
     """The results of the bundled captures; asks that nothing failed, nor left this machine."""
-    named = os.environ.get("CUCUMBERVISION_ARTEFACTS")
-    artefacts = Path(named) if named else None
-    if artefacts is not None:
-        artefacts.mkdir(parents=True, exist_ok=True)
     (address, store), page, hosts, faults = served, new_page(), set[str](), list[str]()
     page.on("request", lambda r: hosts.add(r.url.split("/")[2]) if "//" in r.url else None)
     page.on("pageerror", lambda error: faults.append(str(error)))
     page.goto(f"{address}/results")
-    opened = Dashboard(page, address, store, artefacts, hosts, faults)
+    opened = Dashboard(page, address, store, hosts, faults)
     # Eight fruit in the three bundled captures; the page follows while they are being measured.
     shown = page.get_by_test_id("stMetricValue").first
     shown.filter(has_text=re.compile(r"^([89]|[1-9]\d+)$")).wait_for()
@@ -149,7 +130,7 @@ def test_a_fruit_is_looked_at_measured_and_accepted(dashboard: Dashboard) -> Non
     page.mouse.click(box["x"] + 0.4 * box["width"], box["y"] + 0.45 * box["height"])
     page.mouse.click(box["x"] + 0.6 * box["width"], box["y"] + 0.45 * box["height"])
     page.get_by_text("Ruler:").wait_for()
-    dashboard.shot("fruit")
+    shot(page, "dashboard-fruit")
 
     page.locator("[class*='st-key-accepted_'] button").click()
     page.get_by_role("button", name="Previous", disabled=False).click()  # reviewing went on
@@ -166,32 +147,19 @@ def test_a_fruit_is_looked_at_measured_and_accepted(dashboard: Dashboard) -> Non
     page.mouse.up()
     page.wait_for_timeout(1000)
     assert scene.screenshot() != before
-    dashboard.shot("cloud")
+    shot(page, "dashboard-cloud")
     page.get_by_role("button", name="All fruit").click()
 
 
-def test_a_capture_from_the_replay_is_measured_in_place(dashboard: Dashboard) -> None:
-    page, stops = dashboard.page, dashboard.stops()
-    dashboard.go("Capture")
-    page.locator("button.take:enabled").wait_for()
-    page.wait_for_function("document.getElementById('color').naturalWidth > 0")
-    for _ in range(2):
-        page.locator("button.take").click()
-    page.locator("#where").get_by_text(f"Stop {stops + 2}: row", exact=False).wait_for()
-    dashboard.shot("capture")
-    assert dashboard.stops() == stops + 2
-
-
-def by_hand(page: Any, values: list[str], first: int = 0, pause_ms: int = 0) -> Any:
+def by_hand(page: Any, values: list[str], first: int = 0) -> Any:
     """Type a column of lengths as somebody does who types fast; return its fields."""
     fields = page.get_by_label("By hand, fruit")
     fields.nth(7).wait_for()
     fields.nth(first).click()
     for value in values:  # the page is drawn anew after each
         page.keyboard.press("Control+a")
-        page.keyboard.type(value, delay=pause_ms)
+        page.keyboard.type(value)
         page.keyboard.press("Enter")
-        page.wait_for_timeout(pause_ms)
     return fields
 
 
@@ -204,24 +172,24 @@ def save_by_hand(dashboard: Dashboard, page: Any, values: list[str]) -> None:
     sure.click()
     page.get_by_role("button", name="Save these lengths", disabled=False).click()
     lines = [f",{float(value):.2f}," for value in values]
-    for _ in range(500):
-        written = "".join(x.read_text() for x in dashboard.store.parent.glob("house.truth/*.csv"))
-        if all(line in written for line in lines):
-            return
-        page.wait_for_timeout(200)
-    raise AssertionError(written)
+    folder = dashboard.store.with_suffix(".truth")
+
+    def all_written() -> bool:
+        written = "".join(file.read_text() for file in folder.glob("*.csv"))
+        return all(line in written for line in lines)
+
+    wait_until(all_written)
 
 
-@pytest.mark.parametrize("pause_ms", [0, 60])
 def test_lengths_typed_one_after_the_other_are_all_kept(
-    dashboard: Dashboard, new_page: Callable[[], Any], pause_ms: int
+    dashboard: Dashboard, new_page: Callable[[], Any]
 ) -> None:
     page = dashboard.page
     dashboard.go("Accuracy")
     second = new_page()  # of somebody who looks at the same fruit
     second.goto(page.url)
-    typed = [f"{70 + line}.{1 + pause_ms % 7}" for line in range(7)]
-    fields = by_hand(page, typed, pause_ms=pause_ms)
+    typed = [f"{70 + line}.1" for line in range(7)]
+    fields = by_hand(page, typed)
     dashboard.quiet()
     assert [fields.nth(line).input_value() for line in range(7)] == typed
     # The same fruit measured again by the other, who does not see the first length yet.
@@ -229,7 +197,7 @@ def test_lengths_typed_one_after_the_other_are_all_kept(
     second.get_by_label("Again, fruit").first.blur()
     save_by_hand(dashboard, page, typed)
     # What is saved by somebody else since does not take it away.
-    last = f"99.{1 + pause_ms % 7}"
+    last = "99.1"
     by_hand(second, [last], first=7)
     save_by_hand(dashboard, second, [*typed, last])
     for one in (page, second):
@@ -239,4 +207,4 @@ def test_lengths_typed_one_after_the_other_are_all_kept(
         assert [fields.nth(line).input_value() for line in range(8)] == [*typed, last]
         assert one.get_by_label("Again, fruit").first.input_value() == "71.4"
     second.close()
-    dashboard.shot("hand")
+    shot(page, "dashboard-hand")

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import io
-import os
-import shutil
 import zipfile
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.greenhouse.conftest import whole_stop
+from tests.greenhouse.conftest import WALK, copy_house, copy_round, shot
 
 pytest.importorskip("streamlit")
 
@@ -20,7 +17,7 @@ from cucumbervision.capture.source import example_captures
 from cucumbervision_greenhouse.store.records import Round, key_of
 from cucumbervision_greenhouse.store.repository import open_store
 
-WALK, NAMED = key_of("walk"), key_of("named")
+NAMED = key_of("named")
 # What Markdown, Streamlit and browsers make links, pictures, icons, signs and formulas of.
 NAME = (
     "![x](http://evil.test/p) HTTPS://evil.test/q www.evil.test me@evil.test :tada: "
@@ -51,18 +48,11 @@ def address(
 ) -> tuple[str, dict[str, str]]:
     """A server with a round of today in which all names are odd; a fruit and a stop of it."""
     folder = tmp_path_factory.mktemp("names")
-    path = folder / "house.db"
-    shutil.copyfile(made, path)
-    shutil.copytree(made.with_suffix(".images"), path.with_suffix(".images"))
+    path = copy_house(made, folder)
     with open_store(path) as store:
         named = Round(NAMED, NAME, NAME, profile="long-cucumber")
-        store.save_round(named)
-        for number, stop in enumerate(store.stops(WALK)):
-            record = replace(
-                whole_stop(store, stop.key), key=key_of("named", number), round_key=NAMED
-            )
-            odd = replace(record, row=NAME, note=NAME, taken_s=named.started_s + number)
-            store.save_stop(odd)
+        later_s = named.started_s - store.stops(WALK.key)[0].taken_s
+        copy_round(store, named, later_s, row=NAME, note=NAME)
         fruit = next(view for view in store.detections(NAMED) if view.length_m)
     server = start_server(folder, "--store", str(path), "--replay", str(example_captures()))
     return server, {"fruit": fruit.key, "stop": fruit.stop_key}
@@ -70,8 +60,7 @@ def address(
 
 def look(page: Any, name: str) -> str:
     """Return what the page says; no address in a name is a link or a picture."""
-    if folder := os.environ.get("CUCUMBERVISION_ARTEFACTS"):
-        page.screenshot(path=Path(folder) / f"names-{name}.png")
+    shot(page, f"names-{name}")
     assert page.locator('a[href*="evil" i], img[src*="evil" i]').count() == 0
     return str(page.evaluate(TEXT)).replace("\u2060", "").replace("\u00a0", " ")
 

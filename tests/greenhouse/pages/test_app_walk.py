@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import csv
 import io
 import json
-import os
 import re
 import shutil
-import time
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -18,12 +15,12 @@ import pytest
 
 pytest.importorskip("streamlit")
 
+from tests.greenhouse.conftest import shot, wait_until
+
 from cucumbervision.capture.source import example_captures
 from cucumbervision_greenhouse.store.records import StopRecord
 from cucumbervision_greenhouse.store.repository import open_store
 from cucumbervision_greenhouse.store.waiting import WaitingCaptures
-
-NARROW = ("", "capture", "upload", "results", "map")
 
 
 class House:
@@ -48,29 +45,16 @@ class House:
             return store.stops(one.key)
 
     def wait_for_stops(self, name: str, number: int) -> list[StopRecord]:
-        until = time.monotonic() + 300
-        while time.monotonic() < until:
-            if len(found := self.stops(name)) >= number:
-                return found
-            time.sleep(0.2)
-        raise AssertionError(f"{len(found)} stops instead of {number}")
+        wait_until(lambda: len(self.stops(name)) >= number)
+        return self.stops(name)
 
     def wait_for_kept(self, number: int) -> None:
         """Wait until so many captures are safe: measured, or on disk."""
         waiting = WaitingCaptures(self.store.with_suffix(".waiting"))
-        until = time.monotonic() + 300
-        while len({one.key for one in waiting.captures()} | self._keys()) < number:
-            assert time.monotonic() < until
-            time.sleep(0.02)
+        wait_until(lambda: len({x.key for x in waiting.captures()} | self._keys()) >= number)
 
     def _keys(self) -> set[str]:
         return {stop.key for stop in self.stops("Monday")}
-
-
-def shot(page: Any, name: str) -> None:
-    if folder := os.environ.get("CUCUMBERVISION_ARTEFACTS"):
-        page.wait_for_timeout(500)
-        page.screenshot(path=Path(folder) / f"walk-{name}.png")
 
 
 def press(page: Any, times: int) -> None:
@@ -102,7 +86,7 @@ def test_a_day_from_the_start_page_to_the_pick_list(
     field(tablet, "Name").press("Enter")
     tablet.get_by_role("button", name="Start this round").tap()
     tablet.get_by_text("This round has no stops yet.").wait_for()
-    shot(tablet, "start")
+    shot(tablet, "walk-start")
     tablet.get_by_role("dialog").wait_for(state="hidden")  # nothing lies over the page any more
     tablet.get_by_role("link", name="Capture").last.tap()
 
@@ -128,7 +112,9 @@ def test_a_day_from_the_start_page_to_the_pick_list(
     assert {stop.row for stop in found} == {"3"}
     # However near each other the two were pressed, no two stops are at one place.
     assert len({(stop.side, stop.position_m) for stop in found}) == 4
-    shot(phone, "phone")
+    for page in (tablet, phone):  # each sees the other's stops
+        page.locator("#where").get_by_text("Stop 4").wait_for()
+    shot(phone, "walk-phone")
 
     # A kill in mid-capture: what was pressed is there when the program starts again.
     tablet.wait_for_timeout(500)
@@ -144,12 +130,12 @@ def test_a_day_from_the_start_page_to_the_pick_list(
     found = house.wait_for_stops("Monday", 7)
     assert sorted(stop.step or 0 for stop in found) == [1, 2, 3, 4, 5, 6, 7]
     tablet.locator("#where").get_by_text("Stop 7: row 3", exact=False).wait_for()
-    shot(tablet, "capture")
+    shot(tablet, "walk-capture")
 
     # Count: the least certain fruit is one, and that is undone.
     tablet.goto(f"{address}/map")
     tablet.get_by_text("true size").wait_for()
-    shot(tablet, "map")
+    shot(tablet, "walk-map")
     tablet.get_by_role("link", name="Show the least certain").tap()
     accept = tablet.get_by_role("button", name=re.compile(r"^Accept( Shortcut A)?$"))
     accept.tap()
@@ -161,35 +147,16 @@ def test_a_day_from_the_start_page_to_the_pick_list(
     tablet.locator(".fruit button").first.wait_for()
     tablet.locator(".fruit button").first.tap()
     tablet.get_by_text(re.compile(r"^1 of \d+ picked · 1 of \d+ in all rows$")).wait_for()
-    shot(tablet, "pick")
+    shot(tablet, "walk-pick")
     phone.goto(address)
     phone.locator('.fruit button[aria-pressed="true"]').first.wait_for()
-    shot(phone, "phone-pick")
+    shot(phone, "walk-phone-pick")
     with open_store(house.store) as store:
         one = next(x for x in store.rounds() if x.name == "Monday")
         assert len(store.picked(one.key)) == 1
     # What the program says where it was started: its address, twice.
     printed = (house.folder / "server.log").read_text().splitlines()
     assert [line for line in printed if "(Ctrl-C ends)" not in line] == []
-
-    # Own truth: three fruit by a tape, one tenth longer than the program says; then as it says.
-    tablet.goto(f"{address}/accuracy")
-    for times, error in ((1.1, 100 * 0.1 / 1.1), (1.0, 0.0)):
-        told = measure_by_hand(tablet, times)
-        save_by_hand(tablet, house, told)
-        assert own_error(tablet, error) == pytest.approx(error, abs=0.3)
-    # These captures bring their masks, so that M4 has no keypoints to measure by.
-    tablet.get_by_text("A fruit that a method did not measure counts as an error").wait_for()
-    assert errors_of(tablet, 5)["M4"] == "0 %"
-    shot(tablet, "accuracy")
-
-    # Nothing of a page is wider than a phone.
-    for path in NARROW:
-        phone.goto(f"{address}/{path}")
-        phone.get_by_role("link", name="Forecast").first.wait_for()
-        phone.wait_for_timeout(3000)
-        wide = "document.documentElement.scrollWidth - document.documentElement.clientWidth"
-        assert phone.evaluate(wide) <= 0
 
     # Export: every file is opened.
     tablet.goto(f"{address}/results")
@@ -203,57 +170,6 @@ def test_a_day_from_the_start_page_to_the_pick_list(
     packed = tmp_path / "round.zip"
     loading.value.save_as(packed)
     open_exports(packed, tablet, fruit_of(house))
-
-
-def measure_by_hand(page: Any, times: float) -> list[float]:
-    """Type so many times what the program says for three fruit, and save; return what was typed."""
-    fields = page.get_by_label("By hand, fruit")
-    fields.nth(2).wait_for()
-    program = page.locator("tr:has(input) td:nth-child(4)").all_inner_texts()[:3]
-    typed = [round(times * float(words.split()[0]), 2) for words in program]
-    fields.first.click()
-    for length in typed:
-        page.keyboard.press("Control+a")
-        page.keyboard.type(f"{length:.2f}")
-        page.keyboard.press("Enter")  # to the next line
-    return typed
-
-
-def save_by_hand(page: Any, house: House, told: list[float]) -> None:
-    """Press 'Save these lengths' until they are kept: one while the page redraws may be lost."""
-    expected, until = pytest.approx(told, abs=0.006), time.monotonic() + 300
-    while read_by_hand(house) != expected:
-        assert time.monotonic() < until, "what was typed is not kept"
-        page.get_by_role("button", name="Save these lengths").click()
-        pressed = time.monotonic()
-        while read_by_hand(house) != expected and time.monotonic() < pressed + 15:
-            page.wait_for_timeout(300)
-
-
-def own_error(page: Any, expected: float) -> float:
-    """The mean error in per cent of the lengths that the program reports."""
-    if not page.locator("table.figures").last.is_visible():
-        page.get_by_text("Details: errors by method").click()
-    until, found = time.monotonic() + 300, -1.0
-    while abs(found - expected) > 0.3 and time.monotonic() < until:
-        page.wait_for_timeout(300)
-        found = float(errors_of(page, 3).get("reported", "-1").rstrip(" %"))
-    return found
-
-
-def errors_of(page: Any, column: int) -> dict[str, str]:
-    """What the table of errors says of each method in one of its columns."""
-    lines = page.locator("table.figures").last.locator("tbody tr").all()
-    cells = [line.locator("td").all_inner_texts() for line in lines]
-    return {line[0]: line[column] for line in cells}
-
-
-def read_by_hand(house: House) -> list[float]:
-    found = []
-    for path in house.store.with_suffix(".truth").glob("*.csv"):
-        lines = csv.DictReader(path.read_text(encoding="utf-8").splitlines())
-        found += [float(line["length_1_cm"]) for line in lines if line["length_1_cm"]]
-    return found
 
 
 def fruit_of(house: House) -> int:
@@ -278,4 +194,4 @@ def open_exports(packed: Path, page: Any, fruit: int) -> None:
     assert [cell.value for cell in sheet[2]][:2] == [1, "3"]
     page.goto((folder / "round.html").as_uri())
     assert page.get_by_text(f"All fruit: {fruit}").count() == 1
-    shot(page, "sheet")
+    shot(page, "walk-sheet")

@@ -1,15 +1,11 @@
 from __future__ import annotations
 
-import csv
-import io
 import json
-import os
 import re
 import shutil
 import time
 import zipfile
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +15,11 @@ import pytest
 
 pytest.importorskip("streamlit")
 
-from tests.greenhouse.conftest import PATIENCE_S, whole_stop
+from tests.greenhouse.conftest import copy_round, shot, wait_until
 from tests.greenhouse.pages.app_pages import WALK, app, said, tap
 
 from cucumbervision.capture.source import example_captures
-from cucumbervision_greenhouse.store.records import LinkKind, LinkRecord, Round, new_key
+from cucumbervision_greenhouse.store.records import LinkKind, LinkRecord, Round
 from cucumbervision_greenhouse.store.repository import open_store
 
 
@@ -32,9 +28,7 @@ def test_a_pair_that_may_be_one_fruit_is_offered_until_it_is_confirmed(house: Pa
     with open_store(house) as store:
         [walk] = [x for x in store.rounds() if x.key == WALK]
         later = Round(name="later", house="house 1", started_s=walk.walked_s + 86400.0)
-        store.save_round(later)
-        for x in (whole_stop(store, x.key) for x in store.stops(WALK)):
-            store.save_stop(replace(x, key=new_key(), round_key=later.key, taken_s=later.started_s))
+        copy_round(store, later, 86400.0)
         first, second = (store.detections(key)[0].key for key in (WALK, later.key))
         store.save_growth(WALK, later.key, [LinkRecord(LinkKind.GROWTH, first, second, 0.7)])
     test = app("days", round=later.key)
@@ -94,14 +88,9 @@ def upload(page: Any, packed: Path) -> None:
 
 def wait_for_fruit(store: Path, name: str, number: int) -> None:
     """Wait until a round's captures are measured, and its views merged."""
-    until = time.monotonic() + PATIENCE_S
-    while time.monotonic() < until:
-        with open_store(store) as opened:
-            key = next(x.key for x in opened.rounds() if x.name == name)
-            if sum(view.best for view in opened.detections(key)) == number:
-                return
-        time.sleep(0.3)
-    raise AssertionError(f"{name}: not {number} fruit")
+    with open_store(store) as opened:
+        key = next(x.key for x in opened.rounds() if x.name == name)
+        wait_until(lambda: sum(view.best for view in opened.detections(key)) == number)
 
 
 def metrics(page: Any) -> dict[str, str]:
@@ -115,13 +104,7 @@ def metrics(page: Any) -> dict[str, str]:
     }
 
 
-def shot(page: Any, name: str) -> None:
-    if folder := os.environ.get("CUCUMBERVISION_ARTEFACTS"):
-        page.wait_for_timeout(1500)
-        page.screenshot(path=Path(folder) / f"days-{name}.png", full_page=True)
-
-
-def test_two_days_from_upload_to_export(
+def test_two_days_from_upload_to_comparison(
     tmp_path: Path, start_server: Callable[..., Any], new_page: Callable[..., Any]
 ) -> None:
     now_s = time.time()
@@ -156,7 +139,7 @@ def test_two_days_from_upload_to_export(
     page.get_by_test_id("stMetricValue").filter(has_text=re.compile("^7$")).first.wait_for()
     page.locator("[data-test-script-state=notRunning]").wait_for()
     page.get_by_text("No fruit of one day is surely").wait_for(state="hidden")  # until linked
-    shot(page, "compare")
+    shot(page, "days-compare", full_page=True)
     told = metrics(page)
     with open_store(store) as opened:
         first, last = (
@@ -177,7 +160,7 @@ def test_two_days_from_upload_to_export(
     # One fruit on both days.
     page.locator(".fruit button").first.click()
     page.get_by_text(re.compile(r": 2 days$")).wait_for()
-    shot(page, "fruit")
+    shot(page, "days-fruit", full_page=True)
     assert "fruit=" in page.url
     page.get_by_role("button", name="All fruit").click()
     page.get_by_text("Compare with").wait_for()
@@ -185,26 +168,7 @@ def test_two_days_from_upload_to_export(
     page.get_by_text("All days of House 1").click()
     page.get_by_text("Fruit that the last round of each day showed").wait_for()
     page.locator(".vega-embed canvas, .vega-embed svg").first.wait_for()
-    shot(page, "trend")
-
-    # Export.
-    page.get_by_role("link", name="Results").first.click()
-    page.get_by_text("Files of this round").click()
-    page.locator('a.load[href*="csv"]').wait_for()
-    page.wait_for_timeout(1000)
-    with page.expect_download() as loading:
-        page.get_by_role("link", name="Download").click()
-    packed = tmp_path / "round.zip"
-    loading.value.save_as(packed)
-    with zipfile.ZipFile(packed) as archive:
-        lines = list(csv.DictReader(io.StringIO(archive.read("fruit.csv").decode("utf-8-sig"))))
-    assert len(lines) == sizes[1]
-    phone = new_page(390, 844, is_mobile=True, has_touch=True)
-    phone.goto(f"{address}/days")
-    phone.get_by_text("Compare with").wait_for()
-    shot(phone, "phone")
-    too_wide = "document.documentElement.scrollWidth > document.documentElement.clientWidth"
-    assert not phone.evaluate(too_wide)
+    shot(page, "days-trend", full_page=True)
 
 
 START_AT_ONCE = """async () => {

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import re
-import shutil
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -13,6 +12,7 @@ import pytest
 
 pytest.importorskip("streamlit")
 
+from tests.greenhouse.conftest import copy_house, wait_until
 from tests.greenhouse.pages.app_pages import WALK, app, said, tap
 
 from cucumbervision.capture.camera_file import CameraModel
@@ -107,7 +107,6 @@ def test_without_mask_or_depth_there_is_nothing(plane: tuple[Capture, FruitRow])
 
 
 TOKEN = "a-token-of-this-test-only"
-PATIENCE_S = 300.0  # on a machine that does much else; some seconds on an idle one
 
 
 def axis_px(detail: DetectionDetail) -> Any:
@@ -123,13 +122,8 @@ def mask_of(detail: DetectionDetail) -> Any:
 
 def wait_for_action(path: Path, kind: str) -> None:
     """Wait until the newest line of the log is of a kind."""
-    until = time.monotonic() + PATIENCE_S
-    while True:
-        with open_store(path) as store:
-            if store.log(WALK)[0].kind == kind:
-                return
-        assert time.monotonic() < until
-        time.sleep(0.2)
+    with open_store(path) as store:
+        wait_until(lambda: store.log(WALK)[0].kind == kind)
 
 
 def on_screen(page: Any, at_px: Any) -> tuple[float, float]:
@@ -147,9 +141,7 @@ def on_screen(page: Any, at_px: Any) -> tuple[float, float]:
 def test_a_fruit_is_outlined_by_a_tap_one_is_added_and_one_deleted(
     made: Path, tmp_path: Path, start_server: Callable[..., str], new_page: Callable[..., Any]
 ) -> None:
-    path = tmp_path / "house.db"
-    shutil.copyfile(made, path)
-    shutil.copytree(made.with_suffix(".images"), path.with_suffix(".images"))
+    path = copy_house(made, tmp_path)
     with open_store(path) as store:
         found = {view.key for view in store.detections(WALK)}
         # As if the detector had missed one fruit of each picture.
@@ -179,10 +171,7 @@ def test_a_fruit_is_outlined_by_a_tap_one_is_added_and_one_deleted(
     # Its outline is drawn anew by a tap, and what became of it is said with the new length.
     page.get_by_role("button", name="Redraw by tap").click()
     page.mouse.click(*on_screen(page, axis[len(axis) // 2]))
-    until = time.monotonic() + PATIENCE_S
-    while opened().view.mask_source != "sam":
-        assert time.monotonic() < until
-        time.sleep(0.2)
+    wait_until(lambda: opened().view.mask_source == "sam")
     assert opened().view.corrected
     page.get_by_text("Saved: measured with this outline").wait_for()
     page.get_by_role("button", name="Redraw by tap").click()  # it is put away

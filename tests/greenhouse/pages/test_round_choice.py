@@ -11,7 +11,7 @@ import pytest
 pytest.importorskip("streamlit")
 
 from streamlit.testing.v1 import AppTest
-from tests.greenhouse.conftest import whole_stop
+from tests.greenhouse.conftest import PATIENCE_S, copy_round
 from tests.greenhouse.pages.app_pages import PAGES, WALK, app, field, said, tap, wait_for_jobs
 
 from cucumbervision.capture.readers import open_source
@@ -111,10 +111,7 @@ def test_when_a_round_is_deleted_its_neighbours_are_linked(
         for day in (1, 2):
             began_s = walk.started_s + day * 86400.0
             record = replace(walk, key=key_of("day", day), started_s=began_s)
-            store.save_round(replace(record, name="![x](http://a)"))
-            for view in store.stops(WALK):
-                stop = replace(whole_stop(store, view.key), key=new_key(), round_key=record.key)
-                store.save_stop(replace(stop, taken_s=view.taken_s + day * 86400.0))
+            copy_round(store, replace(record, name="![x](http://a)"), day * 86400.0)
             keys.append(record.key)
         for key in keys:
             assert settle(store, key) == ""
@@ -216,9 +213,6 @@ def test_a_typed_house_is_the_house_of_the_round(
     page.get_by_text("House 7").first.wait_for()
     with open_store(path) as store:
         assert sorted(x.house for x in store.rounds()) == ["House 7", "house 1"]
-
-
-PATIENCE_S = 300.0
 
 
 def _choice() -> None:

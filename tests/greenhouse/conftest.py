@@ -49,14 +49,12 @@ def whole_stop(store: Store, key: str) -> StopRecord:
     return replace(stop, captures=tuple(captures), fruit=0)
 
 
-def copy_round(store: Store, copy: Round, later_s: float = 0.0, **changes: Any) -> list[str]:
-    """Save the stops of `WALK` under another round, so much later; return the stops' keys."""
+def copy_round(store: Store, copy: Round, later_s: float = 0.0, **changes: Any) -> None:
+    """Save the stops of `WALK` under another round, as many seconds later."""
     store.save_round(copy)
-    stops = [whole_stop(store, stop.key) for stop in store.stops(WALK.key)]
-    for stop in stops:
+    for stop in [whole_stop(store, stop.key) for stop in store.stops(WALK.key)]:
         key, taken_s = key_of(copy.key, stop.key), stop.taken_s + later_s
         store.save_stop(replace(stop, key=key, round_key=copy.key, taken_s=taken_s, **changes))
-    return [key_of(copy.key, stop.key) for stop in stops]
 
 
 def wait_until(condition: Callable[[], object]) -> None:

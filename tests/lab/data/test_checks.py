@@ -52,7 +52,8 @@ def test_every_fault_of_a_yolo_set_is_listed(make_set: MakeSet, tmp_path: Path) 
     pytest.importorskip("yaml")
     out = tmp_path / "yolo"
     write_yolo(make_set("train train train val val test"), out)
-    (out / "labels/train/000000.txt").write_text("0 0.5 0.5 0.2 1.4\n0 0.5 0.5 0 0.1\n")
+    lines = "0 0.5 0.5 0.2 1.4", "0 0.5 0.5 0 0.1", "0 0.5", "3 0.5 0.5 0.5 0.5"
+    (out / "labels/train/000000.txt").write_text("\n".join(lines))
     (out / "labels/val/000003.txt").unlink()
     (out / "images/val/000004.png").write_bytes(b"\x89PNG\r\n\x1a\n")
     yaml = out / "data.yaml"
@@ -61,12 +62,14 @@ def test_every_fault_of_a_yolo_set_is_listed(make_set: MakeSet, tmp_path: Path) 
     assert faults(findings) == [
         "line 1: has numbers outside 0 to 1, which must be shares of width and height",
         "line 2: the box [79.5, 53.5, 79.5, 65.5] has no area inside the picture of 160x120",
+        "line 3: is neither box nor polygon",
+        "line 4: its category 3 is not listed",
         "the label file is missing",
         "is truncated or damaged",
         "the class 'leaf' has no label",
     ]
     assert findings[0].source == str(out / "labels/train/000000.txt")
-    with pytest.raises(DataSetError, match=r"outside 0 to 1.*\(and 4 more\)"):
+    with pytest.raises(DataSetError, match=r"outside 0 to 1.*\(and 6 more\)"):
         require_clean(findings, out)
 
 
@@ -78,6 +81,7 @@ def test_every_fault_of_a_coco_set_is_listed(make_set: MakeSet) -> None:
     data["annotations"][1]["bbox"] = [300, 10, 20, 20]
     data["annotations"][2]["keypoints"] = [1, 2]
     del data["annotations"][2]["keypoints_px"]
+    data["annotations"][3]["category_id"] = 7
     data["annotations"][4]["pseudo"] = True
     data["annotations"][5]["pseudo"] = True
     file.write_text(json.dumps(data))
@@ -87,6 +91,7 @@ def test_every_fault_of_a_coco_set_is_listed(make_set: MakeSet) -> None:
     assert faults(findings) == [
         "annotation 2: its box extends beyond the picture of 160x120",
         "annotation 3: has 2 keypoint numbers, not 15",
+        "annotation 4: its category 7 is not listed",
         "the file is missing",
         "is 80x60, but its labels are for 160x120",
         "the test split contains a pseudo-label",

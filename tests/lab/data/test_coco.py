@@ -118,32 +118,6 @@ def test_roboflow_export(tmp_path: Path) -> None:
     ]
 
 
-@pytest.mark.parametrize(
-    ("change", "fault"),
-    [
-        ({"bbox": [10, 20, 0, 10]}, "has no area"),
-        ({"bbox": [70, 20, 30, 10]}, "extends beyond the picture of 80x60"),
-        ({"category_id": 7}, "its category 7 is not listed"),
-        ({"segmentation": {"size": [60, 81], "counts": "1"}}, "a mask of 81x60"),
-        ({"keypoints": [1, 2, 2]}, "has 3 keypoint numbers, not 15"),
-    ],
-)
-def test_a_broken_annotation_is_refused_alone(
-    tmp_path: Path, change: dict[str, object], fault: str
-) -> None:
-    roboflow(tmp_path)
-    file = tmp_path / "train/_annotations.coco.json"
-    data = json.loads(file.read_text())
-    good = data["annotations"][0]
-    data["annotations"] = [{**good, "id": 3, **change}, good]
-    file.write_text(json.dumps(data))
-    dataset = read_coco(tmp_path)
-    assert [len(p.labels) for p in dataset.pictures] == [1, 1]
-    (error,) = dataset.refused
-    assert fault in str(error)
-    assert str(error).startswith(f"{file}: annotation 3: ")
-
-
 def test_what_names_no_picture_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "x.json"
     images = [{"id": 1, "file_name": "a.png"}]

@@ -186,26 +186,6 @@ def test_a_folder_without_yaml_needs_names(tmp_path: Path) -> None:
         read_yolo(tmp_path, ["cucumber"])
 
 
-@pytest.mark.parametrize(
-    ("line", "fault"),
-    [
-        ("0 0.5 0.5 0.5 1.5", "outside 0 to 1"),
-        ("0 0.5 0.5", "neither box nor polygon"),
-        ("3 0.5 0.5 0.5 0.5", "its category 3 is not listed"),
-    ],
-)
-def test_a_broken_line_is_refused_alone(tmp_path: Path, line: str, fault: str) -> None:
-    export(tmp_path, ROBOFLOW_YAML, ("train",))
-    file = tmp_path / "train/labels/0_jpg.rf.txt"
-    file.write_text(f"{line}\n{file.read_text()}")
-    dataset = read_yolo(tmp_path)
-    (picture,) = dataset.pictures
-    assert len(picture.labels) == 3
-    (error,) = dataset.refused
-    assert str(error).startswith(f"{file}: line 1: ")
-    assert fault in str(error)
-
-
 def test_keypoint_rows_must_have_their_length(tmp_path: Path) -> None:
     export(tmp_path, ROBOFLOW_YAML + "kpt_shape: [5, 2]\n", ("train",))
     file = tmp_path / "train/labels/0_jpg.rf.txt"
@@ -222,18 +202,6 @@ def test_keypoint_rows_must_have_their_length(tmp_path: Path) -> None:
     (tmp_path / "data.yaml").write_text(ROBOFLOW_YAML + "kpt_shape: [4, 2]\n")
     with pytest.raises(DataSetError, match=r"kpt_shape is \[4, 2\]"):
         read_yolo(tmp_path)
-
-
-def test_missing_label_files_and_broken_pictures_are_named(tmp_path: Path) -> None:
-    export(tmp_path, ROBOFLOW_YAML, ("train", "valid"))
-    (tmp_path / "train/labels/0_jpg.rf.txt").unlink()
-    (tmp_path / "valid/images/1_jpg.rf.png").write_bytes(b"no picture")
-    dataset = read_yolo(tmp_path)
-    assert [p.labels for p in dataset.pictures] == [()]
-    assert [e.message for e in dataset.refused] == [
-        "the label file is missing",
-        "is not a readable picture",
-    ]
 
 
 def test_yaml_faults(tmp_path: Path) -> None:

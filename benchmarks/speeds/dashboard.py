@@ -120,8 +120,8 @@ def served(
 def dashboard(quick: bool) -> Iterator[Figure]:
     """Time a walk, and the pages of a house with a round of 320 stops."""
     from playwright.sync_api import sync_playwright
-    from tests.conftest import record
-    from tests.greenhouse.conftest import FLAGS, WALK
+    from tests.conftest import FLAGS, record
+    from tests.greenhouse.conftest import WALK
 
     # A server that was stopped may still write into the folder.
     with (

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.greenhouse.conftest import PATIENCE_S, wait_until
+from tests.greenhouse.conftest import wait_until
 
 from cucumbervision.capture.source import example_captures
 from cucumbervision_greenhouse.store.records import Round, key_of
@@ -278,7 +278,7 @@ def test_presses_of_a_page_that_was_closed_offline_are_sent_by_another(
     context = browser.new_context()
     first, second = context.new_page(), context.new_page()
     for page in (first, second):
-        page.set_default_timeout(1000 * PATIENCE_S)
+        page.set_default_timeout(300_000)
         page.goto(f"{address}/capture?round={WALK.key}")
         page.locator("button.take:enabled").wait_for()
     context.set_offline(True)

@@ -11,7 +11,7 @@ import pytest
 pytest.importorskip("streamlit")
 
 from streamlit.testing.v1 import AppTest
-from tests.greenhouse.conftest import PATIENCE_S, copy_round
+from tests.greenhouse.conftest import copy_round
 from tests.greenhouse.pages.app_pages import PAGES, WALK, app, field, said, tap, wait_for_jobs
 
 from cucumbervision.capture.readers import open_source
@@ -226,7 +226,7 @@ def _choice() -> None:
 
 
 def test_what_is_called_alike_is_told_apart_and_a_name_of_before_is_understood() -> None:
-    page = AppTest.from_function(_choice, default_timeout=PATIENCE_S).run()
+    page = AppTest.from_function(_choice, default_timeout=300).run()
     for key in ("c", "b", "a", "b"):
         page.selectbox[0].select(key).run()
         assert not page.exception

@@ -328,12 +328,12 @@ def new_page(browser: Any) -> Iterator[Callable[..., Any]]:
     contexts: list[Any] = []
 
     def opened(width: int = 1280, height: int = 800, **how: Any) -> Any:
-        page = browser.new_page(viewport={"width": width, "height": height}, **how)
-        page.set_default_timeout(1000 * PATIENCE_S)
+        contexts.append(browser.new_context(viewport={"width": width, "height": height}, **how))
+        contexts[-1].set_default_timeout(1000 * PATIENCE_S)
+        page = contexts[-1].new_page()
         page.on("console", lambda line: SAID.warning("console: %s", line.text))
         page.on("pageerror", lambda error: SAID.warning("page error: %s", error))
         page.on("requestfailed", lambda one: SAID.warning("%s: %s", one.url, one.failure))
-        contexts.append(page.context)
         return page
 
     yield opened

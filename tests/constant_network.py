@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,19 +17,22 @@ def constant_network(
     *outputs: Numbers,
     props: Mapping[str, object] | None = None,
     shape: tuple[int | str, ...] = (1, 3, 64, 64),
+    image: str = "images",
+    names: Sequence[str] = (),
 ) -> bytes:
     onnx = pytest.importorskip("onnx")
     helper, kind = onnx.helper, onnx.TensorProto.FLOAT
     nodes = [
-        helper.make_node("ReduceMax", ["images"], ["most"], keepdims=0),
+        helper.make_node("ReduceMax", [image], ["most"], keepdims=0),
         helper.make_node("Mul", ["most", "zero"], ["nothing"]),
     ]
     constants, values = [onnx.numpy_helper.from_array(np.float32(0), "zero")], []
     for i, array in enumerate(outputs):
-        constants.append(onnx.numpy_helper.from_array(array.astype(np.float32), f"c{i}"))
-        nodes.append(helper.make_node("Add", [f"c{i}", "nothing"], [f"output{i}"]))
-        values.append(helper.make_tensor_value_info(f"output{i}", kind, array.shape))
-    images = [helper.make_tensor_value_info("images", kind, shape)]
+        name = names[i] if names else f"output{i}"
+        constants.append(onnx.numpy_helper.from_array(array.astype(np.float32), f"{name} fixed"))
+        nodes.append(helper.make_node("Add", [f"{name} fixed", "nothing"], [name]))
+        values.append(helper.make_tensor_value_info(name, kind, array.shape))
+    images = [helper.make_tensor_value_info(image, kind, shape)]
     graph = helper.make_graph(nodes, "g", images, values, constants)
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
     helper.set_model_props(model, {name: str(value) for name, value in (props or {}).items()})

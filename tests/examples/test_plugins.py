@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from tests.constant_network import constant_network
 
 from cucumbervision import (
     Capture,
@@ -88,32 +89,12 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 def save_rt_detr(path: Path, boxes: NDArray[np.float32], scores: list[float]) -> None:
     """Save a network in RT-DETR's layout that always finds the same boxes."""
-    onnx = pytest.importorskip("onnx")
-    helper, proto = onnx.helper, onnx.TensorProto
     logits = np.full((1, len(boxes), 2), -9.0, np.float32)
     logits[0, :, 1] = np.log(np.array(scores) / (1 - np.array(scores)))
-    nodes = [
-        helper.make_node("ReduceSum", ["pixel_values"], ["sum"], keepdims=0),
-        helper.make_node("Mul", ["sum", "zero"], ["nothing"]),
-        helper.make_node("Add", ["fixed_logits", "nothing"], ["logits"]),
-        helper.make_node("Add", ["fixed_boxes", "nothing"], ["pred_boxes"]),
-    ]
-    graph = helper.make_graph(
-        nodes,
-        "rt-detr",
-        [helper.make_tensor_value_info("pixel_values", proto.FLOAT, [1, 3, 640, 640])],
-        [
-            helper.make_tensor_value_info("logits", proto.FLOAT, list(logits.shape)),
-            helper.make_tensor_value_info("pred_boxes", proto.FLOAT, [1, *boxes.shape]),
-        ],
-        [
-            onnx.numpy_helper.from_array(np.float32(0), "zero"),
-            onnx.numpy_helper.from_array(logits, "fixed_logits"),
-            onnx.numpy_helper.from_array(boxes[None], "fixed_boxes"),
-        ],
+    names, shape = ("logits", "pred_boxes"), (1, 3, 640, 640)
+    path.write_bytes(
+        constant_network(logits, boxes[None], shape=shape, image="pixel_values", names=names)
     )
-    opset = [helper.make_opsetid("", 13)]
-    onnx.save(helper.make_model(graph, opset_imports=opset, ir_version=8), path)
 
 
 def boxes_of(capture: Capture) -> NDArray[np.float64]:

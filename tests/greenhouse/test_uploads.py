@@ -243,10 +243,12 @@ class Parts:
             self.page.wait_for_timeout(100)
 
 
-def test_an_upload_goes_on_after_a_reload_a_kill_and_a_fault_of_the_disk(
+def test_a_folder_is_sent_and_a_file_goes_on_after_a_reload_a_kill_and_a_fault_of_the_disk(
     tmp_path: Path, start_server: Callable[..., Any], new_page: Callable[..., Any]
 ) -> None:
-    packed, store = tmp_path / "row.zip", tmp_path / "house.db"
+    packed, store, folder = tmp_path / "row.zip", tmp_path / "house.db", tmp_path / "row"
+    shutil.copytree(example_captures() / "simulated-row-b", folder)
+    (folder / "notes.odt").write_bytes(b"PK")
     with zipfile.ZipFile(packed, "w") as archive:
         for path in sorted((example_captures() / "simulated-row-a").glob("*.*")):
             archive.write(path, f"row-a/{path.name}")
@@ -262,12 +264,19 @@ def test_an_upload_goes_on_after_a_reload_a_kill_and_a_fault_of_the_disk(
         page.locator("input[type=file]").set_input_files(packed)
         page.get_by_role("button", name="Measure these files").click()
 
-    # A recording is named before anything is sent, and costs the others nothing.
+    # A folder is chosen whole; what is no capture is named before anything is sent.
+    page.goto(f"{address}/upload?round={WALK.key}")
+    with page.expect_file_chooser() as chooser:
+        page.get_by_role("button", name="Choose a folder").click()
+    chooser.value.set_files(folder)
+    page.get_by_text("no part of a capture: row/notes.odt").wait_for()
+    parts.left = 10**6
+    page.get_by_role("button", name="Measure these files").click()
+    page.get_by_text("1 capture saved").wait_for()
+    parts.offsets.clear()
     page.goto(f"{address}/upload?round={WALK.key}")
     walk = {"name": "walk.BAG", "mimeType": "", "buffer": b"#ROSBAG V2.0"}
-    notes = {"name": "notes.odt", "mimeType": "", "buffer": b"PK"}
-    page.locator("input[type=file]").set_input_files([walk, notes])
-    page.get_by_text("no part of a capture: notes.odt").wait_for()
+    page.locator("input[type=file]").set_input_files([walk])
     page.get_by_text("Recordings are not sent").and_(page.get_by_text("walk.BAG")).wait_for()
     assert page.get_by_role("button", name="Measure these files").is_disabled()
 
@@ -301,22 +310,3 @@ def test_an_upload_goes_on_after_a_reload_a_kill_and_a_fault_of_the_disk(
     finally:
         server.kill()
         server.wait()
-
-
-def test_a_folder_is_chosen_whole_and_what_is_no_capture_is_named(
-    tmp_path: Path, start_server: Callable[..., Any], new_page: Callable[..., Any]
-) -> None:
-    folder, store = tmp_path / "row", tmp_path / "house.db"
-    shutil.copytree(example_captures() / "simulated-row-a", folder)
-    (folder / "notes.odt").write_bytes(b"PK")
-    with open_store(store) as opened:
-        opened.save_round(WALK)
-    address = start_server(tmp_path, "--store", str(store), "--replay", str(example_captures()))
-    page = new_page()
-    page.goto(f"{address}/upload?round={WALK.key}")
-    with page.expect_file_chooser() as chooser:
-        page.get_by_role("button", name="Choose a folder").click()
-    chooser.value.set_files(folder)
-    page.get_by_text("no part of a capture: row/notes.odt").wait_for()
-    page.get_by_role("button", name="Measure these files").click()
-    page.get_by_text("1 capture saved").wait_for()

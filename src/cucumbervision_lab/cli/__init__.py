@@ -37,17 +37,12 @@ def register(program: typer.Typer, groups: Mapping[str, typer.Typer]) -> None:  
 @contextmanager
 def ticking(what: str, total: int | None = None) -> Iterator[Progress]:
     """Show a progress bar; yields a function that is called with the number of completed steps."""
-    from rich.console import Console
-
-    from cucumbervision.cli.console import progress_bar
-
-    with progress_bar(Console(stderr=True, highlight=False)) as bar:
-        task = bar.add_task(what, total=total)
-        yield lambda count: bar.advance(task, count)
+    with part_bars() as report:
+        yield lambda count: report(what, count, total)
 
 
 @contextmanager
-def part_bars() -> Iterator[Callable[[str, int, int], None]]:
+def part_bars() -> Iterator[Callable[[str, int, int | None], None]]:
     """Show a progress bar for each step of a long run, on a terminal only.
 
     Yields
@@ -63,7 +58,7 @@ def part_bars() -> Iterator[Callable[[str, int, int], None]]:
     tasks: dict[str, TaskID] = {}
     with progress_bar(Console(stderr=True)) as bar:
 
-        def report(name: str, count: int, total: int) -> None:
+        def report(name: str, count: int, total: int | None) -> None:
             if name not in tasks:
                 tasks[name] = bar.add_task(name, total=total)
             bar.advance(tasks[name], count)

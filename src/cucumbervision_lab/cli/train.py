@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from dataclasses import replace
 from enum import StrEnum
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -15,7 +14,7 @@ from cucumbervision.cli.choices import InputSize
 from cucumbervision_lab.cli import part_bars, show
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from cucumbervision_lab.arrays import Progress
     from cucumbervision_lab.data.labels import DataSet
@@ -199,7 +198,10 @@ def classifier(
     opened = [open_dataset(folder) for folder in sets]
     pictures, file = sum(len(dataset.pictures) for dataset in opened), out / f"{name}.onnx"
     with part_bars() as report:
-        cut = partial(_count, report, pictures)
+
+        def cut(count: int) -> None:
+            report("cutting out", count, pictures)
+
         options = ClassifierOptions(
             epochs,
             seed,
@@ -216,10 +218,6 @@ def classifier(
     for words, value in trained.metrics.items():
         table.add_row(words, f"{value:.4g}")
     Console(highlight=False).print(table)
-
-
-def _count(report: Callable[[str, int, int], None], total: int, count: int) -> None:
-    report("cutting out", count, total)
 
 
 def _train_fruit(

@@ -23,13 +23,7 @@ from cucumbervision.run.finders import Finder
 from cucumbervision.run.options import MeasureOptions
 from cucumbervision_lab.arrays import Array, Progress
 from cucumbervision_lab.evaluate.cases import Case, paper_cases, stress_cases, validation_cases
-from cucumbervision_lab.evaluate.measure_case import (
-    CaseOptions,
-    Masks,
-    Row,
-    measure_case,
-    readings_frame,
-)
+from cucumbervision_lab.evaluate.measure_case import Masks, Row, measure_case, readings_frame
 from cucumbervision_lab.processes import kept_rows
 
 _SMALLEST_GROUP = 60  # readings; smaller groups use the enclosing group
@@ -374,7 +368,7 @@ def _fitted_model(key: str, rows: pd.DataFrame, truth: str) -> intervals.Interva
 
 def run_cases(
     cases: Sequence[Case],
-    options: CaseOptions,
+    masks: Sequence[Masks],
     records: Path,
     workers: int = 2,
     report: Progress | None = None,
@@ -385,10 +379,10 @@ def run_cases(
     ----------
     cases : sequence of Case
         Cases to measure.
-    options : CaseOptions
-        Measurement options.
+    masks : sequence of Masks
+        Kinds of masks.
     records : Path
-        JSON lines file, to which each finished case is appended immediately. Version and options
+        JSON lines file, to which each finished case is appended immediately. Version and masks
         are added to its name, so that others measure anew.
     workers : int
         Number of processes.
@@ -400,15 +394,15 @@ def run_cases(
     list of Row
         Rows of the cases in their order.
     """
-    stamp = crc32(json.dumps({"version": __version__, "options": asdict(options)}).encode())
+    stamp = crc32(json.dumps({"version": __version__, "masks": masks}).encode())
     file = records.with_name(f"{records.stem}-{stamp:08x}.jsonl")
     jobs = {case.name: case for case in cases}
-    return kept_rows(file, jobs, partial(_measure, options), workers, report)
+    return kept_rows(file, jobs, partial(_measure, masks), workers, report)
 
 
-def _measure(options: CaseOptions, case: Case) -> list[Row]:
-    find = package_finder().find if Masks.PERCEIVED in options.masks else None
-    return measure_case(case, options, None if find is None else lambda c: find(c).instances)
+def _measure(masks: Sequence[Masks], case: Case) -> list[Row]:
+    find = package_finder().find if Masks.PERCEIVED in masks else None
+    return measure_case(case, masks, None if find is None else lambda c: find(c).instances)
 
 
 @lru_cache
@@ -453,11 +447,11 @@ def run_benchmark(
         protocol, kinds = [*paper_cases(7), *validation_cases()[:2]], exact_and_disturbed
         stress = min(stress, 8)
 
-    def run(name: str, cases: list[Case], options: CaseOptions) -> pd.DataFrame:
+    def run(name: str, cases: list[Case], masks: Sequence[Masks]) -> pd.DataFrame:
         tell = None if report is None else (lambda count: report(name, count, len(cases)))
-        return readings_frame(run_cases(cases, options, out / f"{name}.jsonl", workers, tell))
+        return readings_frame(run_cases(cases, masks, out / f"{name}.jsonl", workers, tell))
 
-    parts = [run("protocol", protocol, CaseOptions(kinds, baselines=not quick))]
+    parts = [run("protocol", protocol, kinds)]
     if stress:
-        parts.append(run("stress", stress_cases(stress), CaseOptions(exact_and_disturbed)))
+        parts.append(run("stress", stress_cases(stress), exact_and_disturbed))
     return pd.concat(parts, ignore_index=True)

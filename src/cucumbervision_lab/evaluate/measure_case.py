@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from enum import StrEnum
 from importlib.util import find_spec
 from typing import Any
@@ -26,6 +26,7 @@ from cucumbervision.methods.selector import choose, measure_fruit
 from cucumbervision.methods.table import AVAILABLE, masked_points
 from cucumbervision_lab.arrays import Array, Array32, Generator, Mask
 from cucumbervision_lab.evaluate.cases import Case, Simulated, simulate
+from cucumbervision_lab.scenes.generate import extras_of
 
 Find = Callable[[Capture], Sequence[Instance]]
 
@@ -132,31 +133,15 @@ READ = (*map(str, AVAILABLE), "M6 thread", "M6 chord", "selector best", "selecto
 NO_RECORD_BELOW_PX = 30  # minimum number of visible pixels for a record
 
 
-@dataclass(frozen=True)
-class CaseOptions:
-    """Measurement options of a case.
-
-    Parameters
-    ----------
-    masks : tuple of Masks
-        Kinds of masks.
-    baselines : bool
-        Also run the baselines.
-    """
-
-    masks: tuple[Masks, ...] = (Masks.EXACT, Masks.DISTURBED)
-    baselines: bool = False
-
-
-def measure_case(case: Case, options: CaseOptions, find: Find | None = None) -> list[Row]:
+def measure_case(case: Case, masks: Sequence[Masks], find: Find | None = None) -> list[Row]:
     """Simulate a case and measure its fruit with each kind of mask.
 
     Parameters
     ----------
     case : Case
         The case.
-    options : CaseOptions
-        Measurement options.
+    masks : sequence of Masks
+        Kinds of masks. With perceived ones, as in the complete benchmark, baselines are run too.
     find : callable, optional
         Detects the fruit of a capture with masks and keypoints, required for perceived masks.
         Ground truth is only used to select the detection of the case's fruit.
@@ -171,8 +156,8 @@ def measure_case(case: Case, options: CaseOptions, find: Find | None = None) -> 
         picture plane), bend_radius_m (None for straight fruit), hidden_share, and those of
         `fruit_readings`.
     """
-    taken = simulate(case, paint=Masks.PERCEIVED in options.masks)
-    truth, capture = taken.truth, taken.capture
+    taken = simulate(case, paint=Masks.PERCEIVED in masks)
+    truth, capture, true = taken.truth, taken.capture, extras_of(taken.truth)
     if np.count_nonzero(truth.visible) < NO_RECORD_BELOW_PX:
         return []
     truths = {
@@ -181,17 +166,14 @@ def measure_case(case: Case, options: CaseOptions, find: Find | None = None) -> 
         "fruit": case.fruit,
         "condition": case.condition,
         "depth_scale": taken.depth_scale,
-        "centreline_m": truth.centreline_m,
-        "thread_m": truth.thread_m,
-        "chord_m": truth.chord_m,
+        **{name: true[name] for name in ("centreline_m", "thread_m", "chord_m", "tilt_deg")},
         "distance_m": case.distance_m,
-        "tilt_deg": _chord_tilt_deg(truth.axis_m),
         "bend_radius_m": case.bend_radius_m,
         "hidden_share": truth.hidden_share,
     }
-    tools = available_baselines() if options.baselines else {}
+    tools = available_baselines() if Masks.PERCEIVED in masks else {}
     rows = []
-    for kind in options.masks:
+    for kind in masks:
         instance = _instance(taken, kind, case, find)
         row, _ = fruit_readings(capture, instance, truth.visible)
         mask = None if instance is None else instance.mask
@@ -303,11 +285,6 @@ def fruit_lengths(fruit: Fruit, capture: Capture) -> dict[str, float | None]:
     for selector, measurement in ((Selector.BEST, fruit.selected), (Selector.PAPER, by_paper)):
         lengths[f"selector {selector}"] = None if measurement is None else measurement.length_m
     return lengths
-
-
-def _chord_tilt_deg(axis_m: Sequence[Array] | Array) -> float:
-    run = np.asarray(axis_m[-1]) - np.asarray(axis_m[0])
-    return float(np.rad2deg(np.arcsin(min(1.0, abs(run[2]) / np.linalg.norm(run)))))
 
 
 Baseline = Callable[[Array32, Mask, Intrinsics], float | None]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
@@ -20,6 +20,7 @@ from cucumbervision.fruit.mask_codes import Rle
 from cucumbervision.methods.paper_methods import reference_depth
 from cucumbervision.networks import CANDIDATE_CONFIDENCE, DEFAULT_CONFIDENCE
 from cucumbervision.networks.find import (
+    Detectors,
     FruitLooker,
     NetworkLoader,
     NetworkSegmenter,
@@ -283,25 +284,6 @@ class Networks:
     input_sizes: tuple[int, ...] = ()
 
 
-@dataclass(frozen=True, eq=False)
-class PictureResult:
-    """Detections on one picture.
-
-    Parameters
-    ----------
-    frame : Frame
-        Labels and detections.
-    kept : tuple of Instance
-        Reported instances, best first, with keypoints and the detector's masks.
-    seconds : dict of str to float
-        Run time of each network.
-    """
-
-    frame: Frame
-    kept: tuple[Instance, ...]
-    seconds: dict[str, float]
-
-
 def open_networks(
     segment: Path | str | None,
     pose: Path | str | None,
@@ -368,7 +350,7 @@ def detect_picture(
     networks: Networks,
     depth_m: Array32 | None = None,
     focal_px: float | None = None,
-) -> PictureResult:
+) -> tuple[Frame, tuple[Instance, ...], dict[str, float]]:
     """Run the networks on one picture.
 
     Parameters
@@ -383,6 +365,15 @@ def detect_picture(
         Depth in metres, for the distance of detections and for occlusion.
     focal_px : float, optional
         Focal length, for the network that looks at each fruit.
+
+    Returns
+    -------
+    frame : Frame
+        Labels and detections.
+    kept : tuple of Instance
+        Reported instances, best first, with keypoints and the detector's masks.
+    seconds : dict of str to float
+        Run time of each network.
     """
     seconds: dict[str, float] = {}
 
@@ -394,20 +385,25 @@ def detect_picture(
         seconds[name] = time.perf_counter() - start
         return detections
 
-    looks = PictureLooks(networks.fruit, color, depth_m, focal_px) if networks.fruit else None
     segmented, posed = detect("segment", networks.segment), detect("pose", networks.pose)
-    instances = merge_detections(
-        segmented if networks.segment else None,
-        posed if networks.pose else None,
-        networks.confidence,
-        depth_m,
-        looks=networks.segment.looks if networks.segment else 1,
-        look=None if looks is None else looks.rescore,
-    )
-    if looks is not None:
-        instances = looks.refine(instances)
-    elif networks.segmenter is not None and any(
-        fruit.keypoints is not None for fruit in frame.true
+    confidence = networks.confidence
+    if networks.segment is None:
+        instances = each_fruit_once(posed, None, depth_m, confidence=confidence)
+    else:
+        # With a look at each fruit, the pose network has no vote.
+        pose = None if networks.fruit else networks.pose
+        floor = detector_floor(confidence, votes=pose is not None)
+        detectors = Detectors(
+            _Known(networks.segment, segmented, floor),
+            None if pose is None else _Known(pose, posed, pose_floor(confidence)),
+            confidence,
+            networks.fruit,
+        )
+        instances = detectors.find(color, depth_m, focal_px)
+    if (
+        not networks.fruit
+        and networks.segmenter is not None
+        and any(fruit.keypoints is not None for fruit in frame.true)
     ):
         instances = _placed(instances, networks.segmenter, color)
 
@@ -423,13 +419,30 @@ def detect_picture(
         kept=coded(instances),
         has_masks=networks.segment is not None and networks.segment.task == "segment",
     )
-    return PictureResult(frame, instances, seconds)
+    return frame, instances, seconds
+
+
+class _Known(YoloDetector):
+    """A network whose detections on the image are known, to be merged as the product does."""
+
+    def __init__(
+        self, network: YoloDetector, detections: Sequence[Instance], confidence: float
+    ) -> None:
+        self._detections, self.confidence, self.looks = detections, confidence, network.looks
+
+    def detect(
+        self,
+        color_rgb: Pixels,  # noqa: ARG002
+        confidence: float | None = None,
+    ) -> tuple[Instance, ...]:
+        least = self.confidence if confidence is None else confidence
+        return tuple(found for found in self._detections if found.confidence > least)
 
 
 def detect_set(data: DataSet, networks: Networks) -> tuple[Frame, ...]:
     """Run the networks on every picture of a data set, without depth."""
     colors = ((frame_of(p, data, None), read_color(data.path(p))) for p in data.pictures)
-    return tuple(detect_picture(*pair, networks).frame for pair in colors)
+    return tuple(detect_picture(*pair, networks)[0] for pair in colors)
 
 
 def _placed(
@@ -441,43 +454,3 @@ def _placed(
         replace(instance, keypoints=masked.keypoints)
         for instance, masked in zip(instances, drawn, strict=True)
     )
-
-
-def merge_detections(
-    segmented: Sequence[Instance] | None,
-    posed: Sequence[Instance] | None,
-    confidence: float,
-    depth_m: Array32 | None = None,
-    *,
-    looks: int = 1,
-    look: Callable[[Sequence[Instance]], Sequence[Instance]] | None = None,
-) -> tuple[Instance, ...]:
-    """Merge the detections of both networks as the product does, each fruit once with keypoints.
-
-    Parameters
-    ----------
-    segmented : sequence of Instance, optional
-        Detections of the segmentation network; without them, those of the pose network are used.
-    posed : sequence of Instance, optional
-        Detections of the pose network.
-    confidence : float
-        Confidence threshold.
-    depth_m : ndarray of float32, shape (H, W), optional
-        Metres, aligned to colour.
-    looks : int
-        Number of input sizes at which the detector was run.
-    look : callable, optional
-        See `each_fruit_once`; with a look the pose network has no vote.
-    """
-    if segmented is None or (posed is None and look is None):
-        candidates = posed if segmented is None else segmented
-        return each_fruit_once(candidates or (), None, depth_m, confidence=confidence)
-    floor = detector_floor(confidence, votes=True)
-    if look is not None:
-        floor = min(floor, CANDIDATE_CONFIDENCE)
-    detected = [instance for instance in segmented if instance.confidence > floor]
-    poses = None
-    if look is None:
-        sure = pose_floor(confidence)
-        poses = [instance for instance in posed or () if instance.confidence > sure]
-    return each_fruit_once(detected, poses, depth_m, confidence=confidence, looks=looks, look=look)

@@ -179,21 +179,9 @@ def pose_table(readings: pd.DataFrame) -> ReportTable:
         "perceived, farther": posed[~in_range & perceived],
     }
     if "hangs" in posed:
-        with_gravity = posed.dropna(subset="hangs")
-        with_gravity = with_gravity[with_gravity["masks"] == Masks.PERCEIVED]
-        by_gravity = with_gravity.assign(
-            swapped=with_gravity["swapped_by_gravity"],
-            stem_confidence=with_gravity["sure_by_gravity"],
-        )
-        hanging = with_gravity["hangs"].astype(bool)
-        groups |= {
-            "perceived, hanging, any distance": with_gravity[hanging],
-            "the same, gravity known": by_gravity[hanging],
-            "perceived, any distance, gravity known": by_gravity,
-            "the same, ends 90 % sure": by_gravity[
-                by_gravity["stem_confidence"] >= LEAST_END_CONFIDENCE
-            ],
-        }
+        hanging = posed[perceived & posed["hangs"].eq(True)]
+        groups["perceived, hanging, any distance"] = hanging
+        groups["the same, gravity known"] = hanging.assign(swapped=hanging["swapped_by_gravity"])
     cells: list[tuple[Cell, ...]] = []
     for name, part in groups.items():
         right = part.dropna(subset="stem_mm")

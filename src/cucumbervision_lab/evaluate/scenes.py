@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -81,25 +81,27 @@ def evaluate_detection(
         depth_m = None if capture is None else capture.depth_m
         focal_px = None if capture is None else capture.intrinsics.fx_px
         frame = pictures.frame_of(picture, data, depth_m)
-        result = pictures.detect_picture(frame, color, networks, depth_m, focal_px)
+        frame, kept, durations = pictures.detect_picture(frame, color, networks, depth_m, focal_px)
         if picture.file in measured and capture is not None:
-            instances = found_by_fruit(result, networks.confidence)
+            instances = found_by_fruit(frame, kept, networks.confidence)
             if networks.segmenter is not None:
                 drawn = networks.segmenter.segment(color, list(instances.values()))
                 instances = dict(zip(instances, drawn, strict=True))
-            records += length_records(result.frame, capture, instances)
-        frames.append(result.frame)
-        for name, duration in result.seconds.items():
+            records += length_records(frame, capture, instances)
+        frames.append(frame)
+        for name, duration in durations.items():
             seconds.setdefault(name, []).append(duration)
     readings = measure_case.readings_frame(records) if records else pd.DataFrame()
     duration_s = time.perf_counter() - start
     return Evaluation(data, networks, tuple(frames), readings, seconds, duration_s)
 
 
-def found_by_fruit(result: pictures.PictureResult, confidence: float) -> dict[int, Instance]:
+def found_by_fruit(
+    frame: pictures.Frame, kept: Sequence[Instance], confidence: float
+) -> dict[int, Instance]:
     """Return the reported instance of each detected fruit, by its index in `Frame.true`."""
-    matches, _ = match_detections(result.frame, confidence, pictures.Stage.KEPT)
-    return {fruit: result.kept[index] for fruit, index in matches.pairs}
+    matches, _ = match_detections(frame, confidence, pictures.Stage.KEPT)
+    return {fruit: kept[index] for fruit, index in matches.pairs}
 
 
 def length_records(
@@ -196,14 +198,10 @@ def _with_gravity(
     """Return what gravity would make of a pose's ends, and whether the fruit hangs."""
     if capture.gravity is None or measured.selected is None:
         return {}
-    before = measured.selected
-    after, sure = stem_first(before, measured.instance, capture)
+    turned = stem_first(measured.selected, measured.instance, capture)[0] is not measured.selected
     run = axis_m[0] - axis_m[-1]
-    return {
-        "hangs": bool(run @ capture.gravity > 0.5 * np.linalg.norm(run)),
-        "swapped_by_gravity": swapped != (after is not before),
-        "sure_by_gravity": sure,
-    }
+    hangs = bool(run @ capture.gravity > 0.5 * np.linalg.norm(run))
+    return {"hangs": hangs, "swapped_by_gravity": swapped != turned}
 
 
 def _row(
@@ -268,8 +266,8 @@ def learn_intervals(
     """
     cases = stress_cases(fruit, first=_LEARN_FIRST)
     tell = None if report is None else (lambda count: report("stress fruit", count, fruit))
-    options = measure_case.CaseOptions((measure_case.Masks.EXACT, measure_case.Masks.DISTURBED))
-    records = run_cases(cases, options, out / "learning.jsonl", workers, tell)
+    masks = (measure_case.Masks.EXACT, measure_case.Masks.DISTURBED)
+    records = run_cases(cases, masks, out / "learning.jsonl", workers, tell)
     records += set_records(drawn, "all", out / "pictures.jsonl", workers, report)
     book = fit_interval_models(measure_case.readings_frame(records))
     write_interval_models(file, book)
@@ -464,8 +462,8 @@ def evaluate_photos(
     frames, small = [], []
     for picture in ticked(data.pictures, report):
         color, truth = read_color(data.path(picture)), photo_truth(picture, data)
-        frames.append(pictures.detect_picture(truth, color, networks).frame)
-        small.append(pictures.detect_picture(*half_size(truth, color), networks).frame)
+        frames.append(pictures.detect_picture(truth, color, networks)[0])
+        small.append(pictures.detect_picture(*half_size(truth, color), networks)[0])
     return Evaluation(data, networks, tuple(frames), small=tuple(small), missing=missing)
 
 

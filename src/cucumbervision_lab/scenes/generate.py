@@ -362,9 +362,7 @@ def _check_options(options: SynthOptions, out: Path) -> None:
         file.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
 
 
-@lru_cache(maxsize=1)
-def _assets(folder: Path | None) -> Assets:
-    return load_assets(folder)
+_assets = lru_cache(maxsize=1)(load_assets)
 
 
 @lru_cache(maxsize=1)

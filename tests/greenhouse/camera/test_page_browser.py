@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 from tests.greenhouse.conftest import wait_until
 
-from cucumbervision.capture.source import example_captures
 from cucumbervision_greenhouse.store.records import Round, key_of
 from cucumbervision_greenhouse.store.repository import open_store
 from cucumbervision_greenhouse.store.waiting import WaitingCaptures, waiting_folder
@@ -99,14 +98,14 @@ def test_a_press_is_one_stop_however_it_is_made(walk: Walk, new_page: Callable[.
     page = opened(new_page(has_touch=True, timezone_id="Pacific/Auckland"), walk)
     pressed = datetime.now()
     page.keyboard.press("Enter")
-    wait_for_stops(page, walk, 1)
+    wait_until(lambda: len(walk.kept()) == 1)
     clock = datetime.strptime(page.locator("#presses li").inner_text()[2:10], "%H:%M:%S")
     pressed = pressed.replace(microsecond=0)
     assert (clock - pressed).seconds < 60  # the server's clock, not the viewer's
     page.locator("button.take").tap()
-    wait_for_stops(page, walk, 2)
+    wait_until(lambda: len(walk.kept()) == 2)
     page.locator("button.take").click()
-    wait_for_stops(page, walk, 3)
+    wait_until(lambda: len(walk.kept()) == 3)
     for key in ("Enter", "Space"):  # the button has the focus now
         page.keyboard.press(key)
         page.wait_for_timeout(300)
@@ -114,7 +113,7 @@ def test_a_press_is_one_stop_however_it_is_made(walk: Walk, new_page: Callable[.
     for _ in range(5):
         page.keyboard.down("Enter")  # a key that is held repeats itself
     page.keyboard.up("Enter")
-    wait_for_stops(page, walk, 6)
+    wait_until(lambda: len(walk.kept()) == 6)
     page.goto(f"{walk.address}/results")
     page.goto(f"{walk.address}/capture")
     page.locator("button.take:enabled").wait_for()
@@ -151,42 +150,32 @@ def test_presses_while_offline_each_get_their_picture(
     assert len(walk.pictures()) == 4
 
 
-def test_capture_opens_and_takes_presses_while_the_server_is_away(
-    walk: Walk, new_page: Callable[..., Any]
-) -> None:
-    page = opened(new_page(), walk)
-    found = page.request.get(f"{walk.address}/capture/capture.webmanifest").json()
-    assert (found["start_url"], found["display"]) == ("/capture", "standalone")
-    page.evaluate("navigator.serviceWorker.ready.then(() => true)")
-    page.reload()  # from now on it is the worker's
-    page.locator("button.take:enabled").wait_for()
-    page.context.set_offline(True)
-    page.reload()
-    page.locator("button.take:enabled").wait_for()
-    page.locator("button.take").click()
-    page.get_by_text("1 press is kept on this device").wait_for()
-    page.context.set_offline(False)
-    wait_for_stops(page, walk, 1)
-
-
-def test_the_page_can_be_installed_and_starts_offline(
+def test_the_page_is_installed_and_takes_presses_while_the_server_is_away(
     walk: Walk, new_page: Callable[..., Any]
 ) -> None:
     page = opened(new_page(locale="nl-NL"), walk)
-    page.evaluate("navigator.serviceWorker.ready.then(() => true)")
     asked = page.context.new_cdp_session(page)
     manifest = asked.send("Page.getAppManifest")
     assert manifest["errors"] == []
     assert manifest["manifest"]["startUrl"] == f"{walk.address}/capture"
+    assert "standalone" in manifest["data"]
     # A browser of tests keeps nothing, which Chromium calls incognito; nothing else is missing.
     missing = asked.send("Page.getInstallabilityErrors")["installabilityErrors"]
     assert {error["errorId"] for error in missing} <= {"in-incognito"}
+    page.evaluate("navigator.serviceWorker.ready.then(() => true)")
+    page.reload()  # from now on it is the worker's
+    page.locator("button.take:enabled").wait_for()
     page.context.set_offline(True)
     # As from the home screen. The worker kept it in its own language, and is asked in Dutch.
     page.goto("about:blank")
     page.goto(f"{walk.address}/capture", timeout=60_000)
+    page.locator("button.take:enabled").wait_for()
     assert page.locator("button.take span").first.inner_text() == "Foto nemen"
     page.locator("#lost").get_by_text("Verbinding met de cameracomputer").wait_for()
+    page.locator("button.take").click()
+    page.locator("#lost").get_by_text("1 opname staat op dit apparaat").wait_for()
+    page.context.set_offline(False)
+    wait_for_stops(page, walk, 1)
 
 
 def test_positions_are_in_the_unit_that_was_chosen(
@@ -205,7 +194,7 @@ def test_positions_are_in_the_unit_that_was_chosen(
     position.press("Tab")
     for number in (1, 2):
         page.locator("button.take").click()
-        wait_for_stops(page, walk, number)
+        wait_until(lambda: len(walk.kept()) == number)  # noqa: B023
     assert position.input_value() == "8.00"
     with open_store(walk.store) as store:
         wait_until(lambda: len(store.stops(WALK.key)) == 2)
@@ -260,34 +249,15 @@ def test_a_line_that_is_half_open_is_said(walk: Walk, new_page: Callable[..., An
     wait_for_stops(page, walk, 1)
 
 
-def kept(path: Path) -> set[str]:
-    """Return the keys of all presses that are stops or wait to be measured."""
-    waiting = WaitingCaptures(waiting_folder(str(path)))
-    with open_store(path) as store:
-        stops = {stop.key for one in store.rounds() for stop in store.stops(one.key)}
-    return stops | {one.key for one in (*waiting.captures(), *waiting.set_aside())}
-
-
 def test_presses_of_a_page_that_was_closed_offline_are_sent_by_another(
-    tmp_path: Path, start_server: Callable[..., Any], browser: Any
+    walk: Walk, new_page: Callable[..., Any]
 ) -> None:
-    path = tmp_path / "house.db"
-    with open_store(path) as store:
-        store.save_round(WALK)
-    address = start_server(tmp_path, "--store", str(path), "--replay", str(example_captures()))
-    context = browser.new_context()
-    first, second = context.new_page(), context.new_page()
-    for page in (first, second):
-        page.set_default_timeout(300_000)
-        page.goto(f"{address}/capture?round={WALK.key}")
-        page.locator("button.take:enabled").wait_for()
-    context.set_offline(True)
+    first = opened(new_page(), walk)
+    second = opened(first.context.new_page(), walk)
+    first.context.set_offline(True)
     for page in (first, second):
         page.locator("button.take").click()
         page.get_by_text("waiting on this device").wait_for()
     second.close()
-    context.set_offline(False)
-    wait_until(lambda: len(kept(path)) >= 2)
-    first.wait_for_timeout(3000)  # one too many would come now
-    assert len(kept(path)) == 2
-    context.close()
+    first.context.set_offline(False)
+    wait_for_stops(first, walk, 2)

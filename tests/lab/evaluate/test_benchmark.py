@@ -33,13 +33,7 @@ from cucumbervision_lab.evaluate.benchmark import (
 )
 from cucumbervision_lab.evaluate.benchmark_report import comparable_readings
 from cucumbervision_lab.evaluate.cases import Suite, paper_cases, simulate, stress_cases
-from cucumbervision_lab.evaluate.measure_case import (
-    CaseOptions,
-    Masks,
-    Row,
-    measure_case,
-    readings_frame,
-)
+from cucumbervision_lab.evaluate.measure_case import Masks, Row, measure_case, readings_frame
 
 
 @pytest.fixture(scope="module")
@@ -84,28 +78,28 @@ def test_every_length_of_a_method_has_an_interval(readings: pd.DataFrame) -> Non
 
 
 def test_a_killed_run_resumes_and_other_options_measure_anew(tmp_path: Path) -> None:
-    cases, options = [*paper_cases(1), *stress_cases(1)], CaseOptions((Masks.EXACT,))
+    cases, masks = [*paper_cases(1), *stress_cases(1)], (Masks.EXACT,)
     file = tmp_path / "records.jsonl"
-    first = run_cases(cases[:1], options, file)
+    first = run_cases(cases[:1], masks, file)
     done: list[int] = []
-    both = run_cases(cases, options, file, report=done.append)
+    both = run_cases(cases, masks, file, report=done.append)
     assert both[0] == first[0]
     assert [row["case"] for row in both] == [case.name for case in cases]
     assert done == [1, 1]
-    (other,) = run_cases(cases[:1], CaseOptions((Masks.DISTURBED,)), file)
+    (other,) = run_cases(cases[:1], (Masks.DISTURBED,), file)
     assert other["masks"] == Masks.DISTURBED
 
 
 def test_perceived_fruit_are_what_was_found_where_the_fruit_is() -> None:
-    case, options = paper_cases(6)[5], CaseOptions((Masks.PERCEIVED,))
+    case, masks = paper_cases(6)[5], (Masks.PERCEIVED,)
     mask = simulate(case, frames=1).truth.visible
     own, beside = Instance(box_of_mask(mask), mask=mask), Instance(box_of_mask(mask) + 400)
 
-    (found,) = measure_case(case, options, lambda capture: [beside, own])
+    (found,) = measure_case(case, masks, lambda capture: [beside, own])
     assert found["lengths_m"]["M6"] == pytest.approx(found["centreline_m"], rel=0.03)
     assert found["mask_iou"] == 1.0
 
-    (missed,) = measure_case(case, options, lambda capture: [beside])
+    (missed,) = measure_case(case, masks, lambda capture: [beside])
     assert set(missed["lengths_m"]) >= {"M1", "M6", "M6 thread", "selector best"}
     assert set(missed["lengths_m"].values()) == {None}
 
@@ -130,7 +124,7 @@ def drawn(count: int, seed: int) -> pd.DataFrame:
 
 
 def test_learnt_intervals_cover_other_fruit() -> None:
-    found = intervals_of(drawn(1500, 2), fit_interval_models(drawn(1200, 1)))
+    found = intervals_of(drawn(800, 2), fit_interval_models(drawn(800, 1)))
     for key in ("M1", "M6", "M6 thread", "M6 chord"):
         own = found[found["method"] == key]
         covered = own[TRUTH_OF[key]].between(own["low_m"], own["high_m"])
@@ -162,9 +156,9 @@ def test_intervals_cover_new_fruit_in_every_group() -> None:
         size = 1.2816 * 0.004 * np.exp(1.5 * tilt + 2.0 * hidden)
         below, above = model.spreads({"tilt": tilt, "hidden": hidden})
         assert (below, above) == pytest.approx((size, size + 0.004), rel=0.3)
-    errors, features = simulated(rng, 8000)
+    errors, features = simulated(rng, 4000)
     truth = 0.2
-    covered = np.empty(8000, bool)
+    covered = np.empty(4000, bool)
     for k, error in enumerate(errors):
         values = {name: float(column[k]) for name, column in features.items()}
         low, high = model.interval(truth * np.exp(error), values)

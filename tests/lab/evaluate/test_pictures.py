@@ -15,7 +15,7 @@ from cucumbervision.capture.source import example_captures
 from cucumbervision.errors import DataSetError
 from cucumbervision.fruit.instance import Instance
 from cucumbervision.fruit.masks import box_of_mask
-from cucumbervision.networks.find import Detectors, NetworkLoader
+from cucumbervision.networks.find import NetworkLoader
 from cucumbervision.networks.registry import load_registry
 from cucumbervision.networks.yolo import YoloDetector
 from cucumbervision_lab.data.coco import write_coco
@@ -26,7 +26,6 @@ from cucumbervision_lab.evaluate.pictures import (
     capture_of,
     detect_picture,
     frame_of,
-    merge_detections,
     open_networks,
     read_held_out,
 )
@@ -145,25 +144,6 @@ class Replay:
         return self._found
 
 
-@pytest.mark.parametrize("with_pose", [True, False])
-def test_reported_is_what_detect_reports(with_pose: bool) -> None:
-    """Two pieces of one fruit, one found twice, put together as `Detectors` does."""
-    left, right = np.zeros((40, 120), bool), np.zeros((40, 120), bool)
-    left[10:20, 10:50] = right[10:20, 60:110] = True
-    points = np.column_stack([np.linspace(12, 108, 5), np.full(5, 14.5), np.ones(5)])
-    pieces = [Instance(box_of_mask(m), 0.8, detector_mask=m) for m in (left, right, left)]
-    pose = [Instance(np.array([9.5, 9.5, 109.5, 19.5]), 0.9, keypoints=points)] * with_pose
-    black = np.zeros((40, 120, 3), np.uint8)
-    ours = merge_detections(pieces, pose if with_pose else None, 0.3)
-    loaded = [cast(YoloDetector, Replay(*found)) for found in (pieces, pose)]
-    theirs = Detectors(loaded[0], loaded[1] if with_pose else None).find(black)
-    # Without depth the pieces stay two.
-    assert len(ours) == len(theirs) == 2
-    for a, b in zip(ours, theirs, strict=True):
-        assert (a.confidence, a.box.tolist()) == (b.confidence, b.box.tolist())
-        assert (a.keypoints is None) == (b.keypoints is None)
-
-
 def test_what_is_judged_is_what_ships() -> None:
     """The networks of the package, on the bundled captures: the same fruit, equally sure."""
     ours = NetworkLoader(full_precision=True).detectors()
@@ -174,7 +154,7 @@ def test_what_is_judged_is_what_ships() -> None:
         frame = Frame(capture.name, capture.name, width, height)
         focal_px = capture.intrinsics.fx_px
         found = ours.find(color, capture.depth_m, focal_px)
-        kept = detect_picture(frame, color, judged, capture.depth_m, focal_px).kept
+        _, kept, _ = detect_picture(frame, color, judged, capture.depth_m, focal_px)
         assert len(found) > 0
         assert len(kept) == len(found)
         for one, other in zip(kept, found, strict=True):
@@ -204,10 +184,10 @@ def test_of_low_confidence_is_ranked_and_not_reported() -> None:
     labels = (heap, *(Label(box_of_mask(mask)) for mask in (unsure, sure)))
     networks = Networks(cast(YoloDetector, replay), None, None, 0.3)
     frame = Frame("a.png", "a", 120, 40, labels)
-    result = detect_picture(frame, np.zeros((40, 120, 3), np.uint8), networks)
-    assert [one.score for one in result.frame.segmented] == [0.9, 0.05]
-    assert [one.score for one in result.frame.kept] == [0.9]
-    assert list(result.seconds) == ["segment"]
+    frame, kept, seconds = detect_picture(frame, np.zeros((40, 120, 3), np.uint8), networks)
+    assert [one.score for one in frame.segmented] == [0.9, 0.05]
+    assert [one.score for one in frame.kept] == [0.9]
+    assert list(seconds) == ["segment"]
     # By the index of the label that it was found for.
-    assert found_by_fruit(result, 0.3) == {2: result.kept[0]}
-    assert found_by_fruit(result, 0.95) == {}
+    assert found_by_fruit(frame, kept, 0.3) == {2: kept[0]}
+    assert found_by_fruit(frame, kept, 0.95) == {}

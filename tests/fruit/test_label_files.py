@@ -2,13 +2,14 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any, NamedTuple
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from cucumbervision.errors import InstancesError
-from cucumbervision.fruit.instance import Instance, MaskSource
+from cucumbervision.fruit.instance import MaskSource
 from cucumbervision.fruit.label_files import LabelledInstance, parse_yolo_line, read_instances
 from cucumbervision.fruit.mask_codes import encode_rle
 
@@ -49,13 +50,9 @@ def coco(path: Path, *annotations: dict[str, Any], **image: Any) -> Path:
     return path
 
 
-class Found(NamedTuple):
-    instances: tuple[Instance, ...]
-    refused: tuple[InstancesError, ...]
-
-
-def get(path: Path, name: str = "a") -> Found:
-    return Found(*read_instances(path).for_capture([name], WIDTH, HEIGHT))
+def get(path: Path, name: str = "a") -> Any:
+    instances, refused = read_instances(path).for_capture([name], WIDTH, HEIGHT)
+    return SimpleNamespace(instances=instances, refused=refused)
 
 
 def test_coco_box_moves_to_pixel_centres(tmp_path: Path) -> None:

@@ -179,9 +179,8 @@ def estimate(
         sums = weights @ np.bincount(member, data, len(index))
         drawn = sums / (weights @ np.bincount(member, minlength=len(index)))
     else:
-        order = np.argsort(data, kind="stable")
-        data, member = data[order], member[order]
-        drawn = np.array([_weighted_quantile(data, w[member], quantile) for w in weights])
+        counts = (w[member].astype(np.intp) for w in weights)
+        drawn = np.array([np.quantile(np.repeat(data, count), quantile) for count in counts])
     low, high = np.percentile(drawn, [2.5, 97.5]).tolist()
     return Estimate(value, low, high, len(data), len(index))
 
@@ -211,15 +210,6 @@ def resample_weights(groups: int, resamples: int) -> Array:
     drawn += groups * np.arange(resamples)[:, None]
     counts = np.bincount(drawn.ravel(), minlength=resamples * groups)
     return np.asarray(counts.reshape(resamples, groups), float)
-
-
-def _weighted_quantile(data: Array, weights: Array, quantile: float) -> float:
-    """Return the quantile of sorted data with integer weights, as NumPy's linear method."""
-    upto = np.cumsum(weights)
-    place = quantile * (upto[-1] - 1)
-    first, second = np.searchsorted(upto, [np.floor(place), np.ceil(place)], side="right")
-    part = place - np.floor(place)
-    return float((1 - part) * data[first] + part * data[second])
 
 
 def binomial_interval(hits: int, count: int) -> tuple[float, float]:

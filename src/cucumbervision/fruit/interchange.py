@@ -39,15 +39,8 @@ def from_supervision(detections: Any) -> tuple[Instance, ...]:
     >>> from_supervision(detections)[0].box.tolist()
     [9.5, 19.5, 29.5, 59.5]
     """
-    names = detections.data.get("class_name")
-    return tuple(
-        _instance(
-            box,
-            None if detections.mask is None else detections.mask[k],
-            1.0 if detections.confidence is None else detections.confidence[k],
-            "cucumber" if names is None else names[k],
-        )
-        for k, box in enumerate(detections.xyxy)
+    return _instances(
+        detections.xyxy, detections.mask, detections.confidence, detections.data.get("class_name")
     )
 
 
@@ -110,18 +103,8 @@ def from_ultralytics(result: Any) -> tuple[Instance, ...]:
     points = None if result.keypoints is None else _array(result.keypoints.data)
     if points is not None and points.shape[1:] != (_KEYPOINTS, 3):
         points = None
-    return tuple(
-        _instance(
-            box,
-            None if masks is None else masks[k],
-            confidence,
-            result.names[int(kind)],
-            None if points is None else points[k] - [0.5, 0.5, 0.0],
-        )
-        for k, (box, confidence, kind) in enumerate(
-            zip(_array(boxes.xyxy), _array(boxes.conf), _array(boxes.cls), strict=True)
-        )
-    )
+    names = [result.names[int(kind)] for kind in _array(boxes.cls)]
+    return _instances(_array(boxes.xyxy), masks, _array(boxes.conf), names, points)
 
 
 def to_ultralytics(instances: Sequence[Instance], color_rgb: Pixels) -> Any:
@@ -160,16 +143,19 @@ def to_ultralytics(instances: Sequence[Instance], color_rgb: Pixels) -> Any:
     )
 
 
-def _instance(
-    box: Any, mask: Any, confidence: Any, name: Any, keypoints: Array | None = None
-) -> Instance:
-    return Instance(
-        np.asarray(box, np.float64) - 0.5,
-        float(confidence),
-        str(name),
-        mask=None if mask is None else as_mask(np.asarray(mask)),
-        mask_source=None if mask is None else MaskSource.DETECTOR,
-        keypoints=keypoints,
+def _instances(
+    boxes: Any, masks: Any, confidences: Any, names: Any, keypoints: Array | None = None
+) -> tuple[Instance, ...]:
+    return tuple(
+        Instance(
+            np.asarray(box, np.float64) - 0.5,
+            1.0 if confidences is None else float(confidences[k]),
+            "cucumber" if names is None else str(names[k]),
+            mask=None if masks is None else as_mask(np.asarray(masks[k])),
+            mask_source=None if masks is None else MaskSource.DETECTOR,
+            keypoints=None if keypoints is None else keypoints[k] - [0.5, 0.5, 0.0],
+        )
+        for k, box in enumerate(boxes)
     )
 
 

@@ -31,7 +31,7 @@ from cucumbervision.methods.result import (
     TubeFit,
     TubeTraits,
 )
-from cucumbervision.methods.table import Region, TableMethod
+from cucumbervision.methods.table import own_method
 from cucumbervision.methods.traits import tube_traits
 from cucumbervision.tube.evidence import (
     Evidence,
@@ -185,7 +185,7 @@ _SMOOTH_PX = 2.5
 
 
 def measure_m6(
-    depth_m: NDArray[np.float32], mask: NDArray[np.bool_], intrinsics: Intrinsics
+    depth_m: NDArray[np.float32], mask: NDArray[np.bool_] | None, intrinsics: Intrinsics
 ) -> Measurement:
     """Fit a swept tube to a fruit's depth and outline.
 
@@ -198,7 +198,7 @@ def measure_m6(
     ----------
     depth_m : ndarray of float32, shape (H, W)
         Metres, aligned to colour.
-    mask : ndarray of bool, shape (H, W)
+    mask : ndarray of bool, shape (H, W), optional
         The fruit's pixels.
     intrinsics : Intrinsics
         The colour stream's.
@@ -223,6 +223,8 @@ def measure_m6(
     >>> round(result.tube.centreline_m, 3), round(result.tube.thread_m / fruit.thread_m, 2)
     (0.2, 1.0)
     """
+    if mask is None:
+        return Measurement(MethodName.M6, reason=Reason.NO_MASK)
     if not mask.any():
         return Measurement(MethodName.M6, reason=Reason.TOO_FEW_POINTS)
     view = TubeView(depth_m, mask, intrinsics)
@@ -420,19 +422,6 @@ def _end_on(axis_m: NDArray[np.float64]) -> bool:
     return bool(((steps * tips).sum(axis=1) > np.sin(np.deg2rad(_END_ON_DEG)) * most).any())
 
 
-def _measure(region: Region) -> Measurement:
-    if region.mask is None:
-        return Measurement(MethodName.M6, reason=Reason.NO_MASK)
-    return measure_m6(region.depth_m, region.mask, region.intrinsics)
-
-
-METHOD = TableMethod(
-    name="M6",
-    title="swept tube",
-    kind=LengthKind.CENTRELINE,
-    measure=_measure,
-    needs=("mask",),
-    rank=10,
-    least_points=100,
-    color="#FFFFFF",
+METHOD = own_method(
+    MethodName.M6, lambda region: measure_m6(region.depth_m, region.mask, region.intrinsics)
 )

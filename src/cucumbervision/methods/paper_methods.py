@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from functools import partial
+from dataclasses import replace
 
 import numpy as np
 
 from cucumbervision.arrays import Array, Array32, Mask, Numbers
 from cucumbervision.capture.frames import valid_depth
-from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.methods.result import LengthKind, Measurement, MethodName, Reason
-from cucumbervision.methods.table import GATE_M, Region, TableMethod, box_pixels, or_else
+from cucumbervision.methods.table import GATE_M, Region, box_pixels, or_else, own_method
 from cucumbervision.tube.evidence import valid_median
 from cucumbervision.tube.shape import (
     AlignedCloud,
@@ -20,29 +19,18 @@ from cucumbervision.tube.shape import (
     polyline_length,
 )
 
-_paper_method = partial(TableMethod, is_paper=True)
-
 _LINES = (0.25, 0.5, 0.75)
 _SAMPLES = 13
 M1_WINDOW_PX = 11
 
 
-def measure_m1(depth_m: Array32, box: Numbers, intrinsics: Intrinsics) -> Measurement:
+def measure_m1(region: Region) -> Measurement:
     """Measure a fruit by three scan lines along the longer side of its box.
 
     Lines at 1/4, 1/2 and 3/4 of the width, 13 samples each from end to end, each the median of
     the valid readings in an 11x11 window. A sample counts when it is within 3.5 cm of the median
     depth of the box's middle ninth. A line's length is the distance between its two outermost
     counting samples; the median of the lines is the result.
-
-    Parameters
-    ----------
-    depth_m : ndarray of float32, shape (H, W)
-        Metres, aligned to colour; 0 where there is no reading.
-    box : ndarray of float, shape (4,)
-        Edges x1, y1, x2, y2 in pixels.
-    intrinsics : Intrinsics
-        The colour stream's.
 
     Returns
     -------
@@ -61,18 +49,19 @@ def measure_m1(depth_m: Array32, box: Numbers, intrinsics: Intrinsics) -> Measur
     >>> from cucumbervision.capture.intrinsics import Intrinsics
     >>> camera = Intrinsics(640, 480, 600.0, 600.0, 320.0, 240.0)
     >>> depth = np.full((480, 640), 0.6, np.float32)
-    >>> result = measure_m1(depth, np.array([219.5, 219.5, 419.5, 259.5]), camera)
+    >>> region = Region(depth, camera, np.array([219.5, 219.5, 419.5, 259.5]))
+    >>> result = measure_m1(region)
     >>> round(result.length_m, 4)  # 200 px at 0.6 m and f = 600 px
     0.2
     """
-    reference = reference_depth(depth_m, box)
+    box, reference = region.box, reference_depth(region.depth_m, region.box)
     if reference is None:
         return Measurement(MethodName.M1, reason=Reason.NO_DEPTH)
     u, v = sample_grid(box)
-    z = window_depths(depth_m, u, v, M1_WINDOW_PX)
+    z = window_depths(region.depth_m, u, v, M1_WINDOW_PX)
     with np.errstate(invalid="ignore"):
         counts = np.abs(z - reference) <= GATE_M
-    x, y = intrinsics.rays(u, v)
+    x, y = region.intrinsics.rays(u, v)
     points = np.stack([x * z, y * z, z], axis=-1).astype(np.float64)
     segments = []
     for line, ok in zip(points, counts, strict=True):
@@ -173,25 +162,8 @@ def window_depths(
     return medians.astype(np.float64).reshape(u_px.shape)
 
 
-M1 = _paper_method(
-    name="M1",
-    title="scan line",
-    kind=LengthKind.BOX_CHORD,
-    measure=lambda region: measure_m1(region.depth_m, region.box, region.intrinsics),
-    needs=("box",),
-    rank=50,
-    rank_compact=70,
-    color="#56B4E9",
-)
-
-
-def measure_m2(box_points_m: Numbers) -> Measurement:
+def measure_m2(region: Region) -> Measurement:
     """Measure a fruit by the spread of its box's points along their principal axis.
-
-    Parameters
-    ----------
-    box_points_m : ndarray of float, shape (N, 3)
-        The box's pixels at stride 2, deprojected (`measurement.methods.box_points`), metres.
 
     Returns
     -------
@@ -203,17 +175,10 @@ def measure_m2(box_points_m: Numbers) -> Measurement:
     -----
     The paper's M2 (Eq. 2): |z - median z| <= 3.5 cm, centre, first singular vector, extreme
     projections.
-
-    Examples
-    --------
-    >>> x = np.linspace(-0.1, 0.1, 101)
-    >>> rod = np.stack([x, 0 * x, 0 * x + 0.5], axis=1)
-    >>> round(measure_m2(rod).length_m, 6)
-    0.2
     """
-    if not len(box_points_m):
+    if not len(region.box_points_m):
         return Measurement(MethodName.M2, reason=Reason.NO_DEPTH)
-    return _principal_chord(align_near(box_points_m, GATE_M), MethodName.M2)
+    return _principal_chord(align_near(region.box_points_m, GATE_M), MethodName.M2)
 
 
 def _principal_chord(cloud: AlignedCloud, method: MethodName) -> Measurement:
@@ -248,75 +213,24 @@ def _principal_chord(cloud: AlignedCloud, method: MethodName) -> Measurement:
 _M3_POINTS = 50
 
 
-def measure_m3(mask_points_m: Numbers, cloud: AlignedCloud | None = None) -> Measurement:
+def measure_m3(region: Region) -> Measurement:
     """Measure a fruit by the spread of its mask's points along their principal axis.
-
-    Parameters
-    ----------
-    mask_points_m : ndarray of float, shape (N, 3)
-        The mask's pixels with a valid reading, deprojected
-        (`measurement.methods.masked_points`), metres.
-    cloud : AlignedCloud, optional
-        The same points after the depth gate, if already computed.
 
     Returns
     -------
     Measurement
-        Kind 'surface-chord'; reason 'too-few-points' below 50 valid pixels, where
-        the table's method falls back on M2.
+        Kind 'surface-chord'; that of M2 below 50 valid pixels.
 
     Notes
     -----
     The paper's M3, by its method section: PCA, the gate included. (Its abstract says skeleton.)
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> x = np.linspace(-0.1, 0.1, 101)
-    >>> rod = np.stack([x, 0 * x, 0 * x + 0.5], axis=1)
-    >>> round(measure_m3(rod).length_m, 6)
-    0.2
-    >>> measure_m3(rod[:49]).reason
-    <Reason.TOO_FEW_POINTS: 'too-few-points'>
     """
-    if len(mask_points_m) < _M3_POINTS:
-        return Measurement(MethodName.M3, reason=Reason.TOO_FEW_POINTS)
-    return _principal_chord(cloud or align_near(mask_points_m, GATE_M), MethodName.M3)
-
-
-def m3_or_m2(region: Region) -> Measurement:
-    """Measure a fruit by M3, or by M2 in its name below 50 valid pixels."""
-    if region.mask_points_m is None:
-        return Measurement(MethodName.M3, reason=Reason.NO_MASK)
-    result = measure_m3(region.mask_points_m, region.mask_near)
-    return (
-        result
-        if result.is_direct
-        else or_else(result, MethodName.M2, measure_m2(region.box_points_m))
-    )
-
-
-M2 = _paper_method(
-    name="M2",
-    title="box PCA",
-    kind=LengthKind.SURFACE_CHORD,
-    measure=lambda region: measure_m2(region.box_points_m),
-    needs=("box",),
-    rank=60,
-    color="#CC79A7",
-)
-
-M3 = _paper_method(
-    name="M3",
-    title="mask PCA",
-    kind=LengthKind.SURFACE_CHORD,
-    measure=m3_or_m2,
-    needs=("mask",),
-    rank=40,
-    least_points=0,
-    stands_in=True,
-    color="#E69F00",
-)
+    cloud, result = region.mask_near, Measurement(MethodName.M3, reason=Reason.TOO_FEW_POINTS)
+    if cloud is None or region.mask_points_m is None:
+        return replace(result, reason=Reason.NO_MASK)
+    if len(region.mask_points_m) >= _M3_POINTS:
+        result = _principal_chord(cloud, MethodName.M3)
+    return result if result.is_direct else or_else(result, MethodName.M2, measure_m2(region))
 
 
 MIN_VISIBILITY = np.array([0.50, 0.25, 0.25, 0.25, 0.50])
@@ -325,9 +239,7 @@ _DEPTH_SPREAD_M = 0.08
 _POLYLINE_FROM = 4
 
 
-def measure_m4(
-    depth_m: Array32, mask: Mask | None, keypoints: Array | None, intrinsics: Intrinsics
-) -> Measurement:
+def measure_m4(region: Region) -> Measurement:
     """Measure a fruit through its five landmarks, blossom end to stem end.
 
     A keypoint's depth is the median of the valid readings in a 5x5 window inside the mask.
@@ -335,22 +247,11 @@ def measure_m4(
     median depth are left out. Four or five left: the sum of the segments; two or three: the
     straight line between the endpoints.
 
-    Parameters
-    ----------
-    depth_m : ndarray of float32, shape (H, W)
-        Metres, aligned to colour.
-    mask : ndarray of bool, shape (H, W), optional
-        The fruit's pixels; without it every reading in the window counts.
-    keypoints : ndarray of float, shape (5, 3), optional
-        u, v in pixels and visibility 0 to 1, KP0 (blossom end) to KP4 (stem end).
-    intrinsics : Intrinsics
-        The colour stream's.
-
     Returns
     -------
     Measurement
         Kind 'keypoint-polyline'; reason 'no-keypoints', or 'endpoint-missing' when KP0 or KP4 is
-        left out, where the table's method falls back on M3.
+        left out, where it falls back on M3.
 
     Notes
     -----
@@ -363,44 +264,27 @@ def measure_m4(
     >>> depth = np.full((480, 640), 0.6, np.float32)
     >>> u = np.array([220, 270, 320, 370, 420])
     >>> keypoints = np.stack([u, 0 * u + 240, 0 * u + 1], axis=1).astype(float)
-    >>> round(measure_m4(depth, None, keypoints, camera).length_m, 4)
+    >>> region = Region(depth, camera, np.array([219.5, 219.5, 419.5, 259.5]), None, keypoints)
+    >>> round(measure_m4(region).length_m, 4)
     0.2
     """
-    if keypoints is None:
+    if region.keypoints is None:
         return Measurement(MethodName.M4, reason=Reason.NO_KEYPOINTS)
-    u, v, visibility = np.asarray(keypoints, dtype=np.float64).T
-    z = window_depths(depth_m, u, v, M4_WINDOW_PX, mask)
+    u, v, visibility = np.asarray(region.keypoints, dtype=np.float64).T
+    z = window_depths(region.depth_m, u, v, M4_WINDOW_PX, region.mask)
     is_used = (visibility >= MIN_VISIBILITY) & np.isfinite(z)
     if is_used.any():
         with np.errstate(invalid="ignore"):
             is_used &= np.abs(z - np.median(z[is_used])) <= _DEPTH_SPREAD_M
     if not is_used[0] or not is_used[-1]:
-        return Measurement(MethodName.M4, reason=Reason.ENDPOINT_MISSING)
-    x, y = intrinsics.rays(u, v)
+        failed = Measurement(MethodName.M4, reason=Reason.ENDPOINT_MISSING)
+        return or_else(failed, MethodName.M3, measure_m3(region))
+    x, y = region.intrinsics.rays(u, v)
     points = np.stack([x * z, y * z, z], axis=1)[is_used]
     path = points if len(points) >= _POLYLINE_FROM else points[[0, -1]]
     return Measurement(
         MethodName.M4, polyline_length(path), LengthKind.KEYPOINT_POLYLINE, path_m=path
     )
-
-
-def _measure_m4(region: Region) -> Measurement:
-    result = measure_m4(region.depth_m, region.mask, region.keypoints, region.intrinsics)
-    if result.reason is Reason.ENDPOINT_MISSING:
-        return or_else(result, MethodName.M3, m3_or_m2(region))
-    return result
-
-
-M4 = _paper_method(
-    name="M4",
-    title="keypoints",
-    kind=LengthKind.KEYPOINT_POLYLINE,
-    measure=_measure_m4,
-    needs=("keypoints",),
-    rank=30,
-    least_points=100,
-    color="#F0E442",
-)
 
 
 SPLINE_POINTS = 100
@@ -411,21 +295,13 @@ _MIN_BINS = 2
 _RANGE_M = (0.05, 0.80)
 
 
-def measure_m5(mask_points_m: Numbers, aligned: AlignedCloud | None = None) -> Measurement:
+def measure_m5(region: Region) -> Measurement:
     """Measure a fruit along a cubic spline through the centroids of its cross-sections.
 
     The gate |z - median z| <= 3.5 cm; at least 100 points; first principal axis; 25 equal bins,
     the centroid of each with at least 3 points; both tips anchored by the mean of the five
     extreme points; natural cubic splines over the chord-length parameter; trapezoidal integral
     of the speed over 1,000 samples; accepted between 5 and 80 cm.
-
-    Parameters
-    ----------
-    mask_points_m : ndarray of float, shape (N, 3)
-        The mask's pixels with a valid reading, deprojected
-        (`measurement.methods.masked_points`), metres.
-    aligned : AlignedCloud, optional
-        The same points after the depth gate, if already computed.
 
     Returns
     -------
@@ -437,16 +313,10 @@ def measure_m5(mask_points_m: Numbers, aligned: AlignedCloud | None = None) -> M
     The paper's M5 (Eqs. 4 to 6), kept for comparison with its known faults: the fixed gate cuts
     fruit tilted towards the camera, the tip anchors zigzag on rough edges, and the spline runs
     along the visible surface and not along the axis.
-
-    Examples
-    --------
-    >>> t = np.linspace(-0.5, 0.5, 2001)
-    >>> arc = np.stack([0.2 * np.sin(t), 0.2 * np.cos(t), 0 * t + 0.5], axis=1)
-    >>> round(measure_m5(arc).length_m, 3)  # an arc of 0.2 m radius over 1 rad
-    0.2
     """
-    cloud = aligned or align_near(mask_points_m, GATE_M)
-    points, along = cloud.points_m, cloud.along_m
+    if region.mask_near is None:
+        return Measurement(MethodName.M5, reason=Reason.NO_MASK)
+    points, along = region.mask_near.points_m, region.mask_near.along_m
     if len(points) < SPLINE_POINTS:
         return Measurement(MethodName.M5, reason=Reason.TOO_FEW_POINTS)
     spine = bin_centroids(points, along, _BINS, _MIN_BIN_POINTS)
@@ -460,19 +330,8 @@ def measure_m5(mask_points_m: Numbers, aligned: AlignedCloud | None = None) -> M
     return Measurement(MethodName.M5, length, LengthKind.SURFACE_ARC, path_m=path)
 
 
-def _measure_m5(region: Region) -> Measurement:
-    if region.mask_points_m is None:
-        return Measurement(MethodName.M5, reason=Reason.NO_MASK)
-    return measure_m5(region.mask_points_m, region.mask_near)
-
-
-M5 = _paper_method(
-    name="M5",
-    title="medial arc spline",
-    kind=LengthKind.SURFACE_ARC,
-    measure=_measure_m5,
-    needs=("mask",),
-    rank=20,
-    least_points=SPLINE_POINTS,
-    color="#0072B2",
+M1, M2, M3, M4, M5 = map(
+    own_method,
+    (MethodName.M1, MethodName.M2, MethodName.M3, MethodName.M4, MethodName.M5),
+    (measure_m1, measure_m2, measure_m3, measure_m4, measure_m5),
 )

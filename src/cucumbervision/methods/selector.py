@@ -159,42 +159,24 @@ def choose(
     """
     width, height = float(box[2] - box[0]), float(box[3] - box[1])
     elongated = max(width, height) >= _ELONGATED * min(width, height)
-    tried: list[str] = []
-    for method in _order(measurements, methods, mask_points, is_elongated=elongated):
-        if selector is Selector.PAPER and not method.is_paper:
-            continue
-        result = measurements[method.name]
-        if result.measured_by is not None and not method.stands_in:
-            continue
-        if result.length_m is not None:
-            return result, _choice(mask_points, is_elongated=elongated), (*tried, *result.fallback)
-        tried.extend(result.fallback or [f"{method.name}:{result.reason}"])
-    return None, _choice(mask_points, is_elongated=elongated), tuple(tried)
-
-
-def _choice(mask_points: int | None, *, is_elongated: bool) -> Choice:
-    if mask_points is None:
-        return Choice.ELONGATED_BOX if is_elongated else Choice.COMPACT_BOX
-    return Choice.DENSE_MASK if mask_points >= SPLINE_POINTS else Choice.SPARSE_MASK
-
-
-def _order(
-    measurements: Mapping[str, Measurement],
-    methods: Iterable[Method],
-    mask_points: int | None,
-    *,
-    is_elongated: bool,
-) -> list[TableMethod]:
-    """Return the methods that may be chosen, by their ranks in the table."""
-    method_of = {str(method.name): method for method in methods}
-    ranked = []
+    choice = Choice.ELONGATED_BOX if elongated else Choice.COMPACT_BOX
+    if mask_points is not None:
+        choice = Choice.DENSE_MASK if mask_points >= SPLINE_POINTS else Choice.SPARSE_MASK
+    method_of, ranked, tried = {str(m.name): m for m in methods}, [], list[str]()
     for name, measurement in measurements.items():
         if measurement.error is None:
             method = TableMethod.of(method_of.get(name, name))
-            rank = method.rank_for(mask_points, is_elongated=is_elongated)
-            if rank is not None:
+            rank = method.rank_for(mask_points, is_elongated=elongated)
+            if rank is not None and (method.is_paper or selector is not Selector.PAPER):
                 ranked.append((rank, name, method))
-    return [method for _, _, method in sorted(ranked, key=lambda line: line[:2])]
+    for _, name, method in sorted(ranked, key=lambda line: line[:2]):
+        result = measurements[name]
+        if result.measured_by is not None and not method.stands_in:
+            continue
+        if result.length_m is not None:
+            return result, choice, (*tried, *result.fallback)
+        tried.extend(result.fallback or [f"{name}:{result.reason}"])
+    return None, choice, tuple(tried)
 
 
 @OneThread()

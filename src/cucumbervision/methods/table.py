@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -19,6 +21,7 @@ from cucumbervision.methods.result import (
     LengthDefinition,
     LengthKind,
     Measurement,
+    MethodName,
     Reason,
     TraitValue,
 )
@@ -314,6 +317,27 @@ class TableMethod:
         if least_points is not None and (mask_points is None or mask_points < least_points):
             return None
         return self.rank if is_elongated or self.rank_compact is None else self.rank_compact
+
+
+def own_method(name: MethodName, measure: Callable[[Region], Measurement]) -> TableMethod:
+    """Return one of the package's own methods, with its line of `methods.csv`."""
+    text = Path(__file__).with_name("methods.csv").read_text(encoding="utf-8")
+    line = next(line for line in csv.DictReader(text.splitlines()) if line["name"] == name)
+    ranks = (int(line[k]) if line[k] else None for k in ("rank", "rank_compact", "least_points"))
+    rank, rank_compact, least_points = ranks
+    return TableMethod(
+        name=str(name),
+        title=line["title"],
+        kind=LengthKind(line["kind"]),
+        measure=measure,
+        needs=(line["needs"],),
+        rank=rank,
+        rank_compact=rank_compact,
+        least_points=least_points,
+        is_paper=bool(line["is_paper"]),
+        stands_in=bool(line["stands_in"]),
+        color=line["color"],
+    )
 
 
 def plugin_of(method: str | Method) -> Plugin:

@@ -15,7 +15,7 @@ import threading
 from contextlib import ContextDecorator
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -142,16 +142,8 @@ def _numbers(array: Numbers, *shape: int) -> Array:
     return np.ascontiguousarray(array, np.float64).reshape(shape)
 
 
-class Fit(NamedTuple):
-    """What the kernel made of one fit: the moved body, its readings, and the results."""
-
-    bend_m: Array
-    width_m: Array
-    points: list[Numbers]
-    rays: list[Numbers]
-    covariance: Array
-    ends_seen: Numbers
-    misfit: float
+Fit: TypeAlias = "tuple[Array, Array, list[Numbers], list[Numbers], Array, Numbers, float]"
+"""Control points of centres and of radii, points, rays, covariance, which ends are seen, misfit."""
 
 
 def _padded(waves: int) -> int:
@@ -206,4 +198,4 @@ def fitted(evidence: Evidence, guess: TubeShape) -> Fit | None:
         *(x.argument if isinstance(x, _Struct) else ctypes.c_void_p(x.ctypes.data) for x in values)
     )
     moved = bend_m, width_m, points.arrays, rays.arrays
-    return Fit(*moved, covariance, ends, float(misfit[0])) if is_solved else None
+    return (*moved, covariance, ends, float(misfit[0])) if is_solved else None

@@ -248,9 +248,9 @@ def fit_shape(evidence: Evidence, guess: TubeShape) -> TubeFitting:
     fit = tube_kernel.fitted(evidence, guess)
     if fit is None:
         return _fit_by_numpy(evidence, guess)
-    shape, (first, last) = TubeShape(fit.bend_m, fit.width_m), map(bool, fit.ends_seen)
-    points, rays = _gaps_of(*fit.points), _gaps_of(*fit.rays)
-    return TubeFitting(shape, fit.covariance, points, rays, (first, last), fit.misfit)
+    bend_m, width_m, points, rays, covariance, (first, last), misfit = fit
+    visible, shape = (bool(first), bool(last)), TubeShape(bend_m, width_m)
+    return TubeFitting(shape, covariance, _gaps_of(*points), _gaps_of(*rays), visible, misfit)
 
 
 def _gaps_of(gap_m: Array, away: Array, centres_m: Array, *others: Numbers) -> Gaps:

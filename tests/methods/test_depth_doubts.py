@@ -211,8 +211,7 @@ def test_an_outline_that_jumps_ends_early_or_is_loose_is_told() -> None:
     beside[middle + 60 : middle + 70, 310:330] = True
     assert doubts(capture) == ()
     assert doubts(capture, wide) == (Flag.DEPTH_UNALIGNED,)
-    assert doubts(capture, narrow) == (Flag.OUTLINE_SHORT,)
-    assert doubts(capture, cut) == (Flag.OUTLINE_SHORT,)
+    assert doubts(capture, narrow) == doubts(capture, cut) == (Flag.OUTLINE_SHORT,)
     gap, thin = Flag.DEPTH_GAP, Flag.OUTLINE_STEM
     for outline, flag in ((stray, gap), (beside, gap), (stem, thin), (stub, thin)):
         more = with_depth(capture, np.where(outline & ~mask, 0.48, capture.depth_m))

@@ -266,9 +266,10 @@ def test_frames_before_a_jolt_are_left_out() -> None:
 
 
 def test_a_plain_wall_does_not_say_that_it_moved() -> None:
-    rng = np.random.default_rng(4)
-    walls = [np.clip(rng.normal(90, 3, (480, 848, 3)), 0, 255).astype(np.uint8) for _ in "ab"]
-    assert moved_px(walls[0], walls) == [0.0, 0.0]
+    walls = np.random.default_rng(4).normal(90, 3, (2, 480, 848, 3)).clip(0, 255).astype(np.uint8)
+    assert moved_px(walls[0], list(walls)) == [0.0, 0.0]
+    walls[0], walls[0, :3, :3] = 90, 250  # its only corner lies at the border
+    assert moved_px(walls[0], [walls[1]]) == [0.0]
 
 
 def test_a_brighter_frame_has_not_moved() -> None:

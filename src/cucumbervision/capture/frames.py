@@ -403,10 +403,9 @@ def moved_px(reference: Pixels, pictures: Sequence[Pixels]) -> list[float]:
         return [0.0] * len(pictures)
     level = max(_CORNER_STRENGTH / strongest, _WEAKEST_CORNER)
     features = cv2.goodFeaturesToTrack(first, _CORNERS, level, 5, blockSize=5)
-    corners = np.asarray(features, np.float32).reshape(-1, 2)
-    if len(corners) < _LEAST_CORNERS:
+    if np.size(features) < 2 * _LEAST_CORNERS:  # None where all lie at the border
         return [0.0] * len(pictures)
-    first = _levelled(first)
+    corners, first = np.asarray(features, np.float32).reshape(-1, 2), _levelled(first)
     return [
         scale * _moved(first, _levelled(_small_grey(picture)[0]), corners) for picture in pictures
     ]

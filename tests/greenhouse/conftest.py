@@ -57,12 +57,12 @@ def copy_round(store: Store, copy: Round, later_s: float = 0.0, **changes: Any) 
         store.save_stop(replace(stop, key=key, round_key=copy.key, taken_s=taken_s, **changes))
 
 
-def wait_until(condition: Callable[[], object]) -> None:
-    """Wait until a condition holds, as long as a busy machine needs."""
-    until = time.monotonic() + PATIENCE_S
+def wait_until(page: Any, condition: Callable[[], object]) -> None:
+    """Wait until a condition holds, while the browser of a page goes on."""
+    until = time.monotonic() + 3 * PATIENCE_S
     while not condition():
         assert time.monotonic() < until, "waited in vain"
-        time.sleep(0.1)
+        page.wait_for_timeout(100)
 
 
 def copy_house(made: Path, folder: Path) -> Path:

@@ -80,7 +80,7 @@ def opened(page: Any, walk: Walk) -> Any:
 
 
 def wait_for_stops(page: Any, walk: Walk, number: int) -> None:
-    wait_until(lambda: len(walk.kept()) >= number)
+    wait_until(page, lambda: len(walk.kept()) >= number)
     page.wait_for_timeout(3000)  # one too many would come now
     assert len(walk.kept()) == number
 
@@ -98,14 +98,14 @@ def test_a_press_is_one_stop_however_it_is_made(walk: Walk, new_page: Callable[.
     page = opened(new_page(has_touch=True, timezone_id="Pacific/Auckland"), walk)
     pressed = datetime.now()
     page.keyboard.press("Enter")
-    wait_until(lambda: len(walk.kept()) == 1)
+    wait_until(page, lambda: len(walk.kept()) == 1)
     clock = datetime.strptime(page.locator("#presses li").inner_text()[2:10], "%H:%M:%S")
     pressed = pressed.replace(microsecond=0)
     assert (clock - pressed).seconds < 60  # the server's clock, not the viewer's
     page.locator("button.take").tap()
-    wait_until(lambda: len(walk.kept()) == 2)
+    wait_until(page, lambda: len(walk.kept()) == 2)
     page.locator("button.take").click()
-    wait_until(lambda: len(walk.kept()) == 3)
+    wait_until(page, lambda: len(walk.kept()) == 3)
     for key in ("Enter", "Space"):  # the button has the focus now
         page.keyboard.press(key)
         page.wait_for_timeout(300)
@@ -113,7 +113,7 @@ def test_a_press_is_one_stop_however_it_is_made(walk: Walk, new_page: Callable[.
     for _ in range(5):
         page.keyboard.down("Enter")  # a key that is held repeats itself
     page.keyboard.up("Enter")
-    wait_until(lambda: len(walk.kept()) == 6)
+    wait_until(page, lambda: len(walk.kept()) == 6)
     page.goto(f"{walk.address}/results")
     page.goto(f"{walk.address}/capture")
     page.locator("button.take:enabled").wait_for()
@@ -194,10 +194,10 @@ def test_positions_are_in_the_unit_that_was_chosen(
     position.press("Tab")
     for number in (1, 2):
         page.locator("button.take").click()
-        wait_until(lambda: len(walk.kept()) == number)  # noqa: B023
+        wait_until(page, lambda: len(walk.kept()) == number)  # noqa: B023
     assert position.input_value() == "8.00"
     with open_store(walk.store) as store:
-        wait_until(lambda: len(store.stops(WALK.key)) == 2)
+        wait_until(page, lambda: len(store.stops(WALK.key)) == 2)
         stops = store.stops(WALK.key)
     at_m = sorted(stop.position_m or 0.0 for stop in stops)
     assert at_m == pytest.approx([4 * 0.3048, 6 * 0.3048], abs=0.006)

@@ -184,7 +184,7 @@ def save_by_hand(dashboard: Dashboard, page: Any, values: list[str]) -> None:
         written = "".join(file.read_text() for file in folder.glob("*.csv"))
         return all(line in written for line in lines)
 
-    wait_until(all_written)
+    wait_until(page, all_written)
 
 
 def test_lengths_typed_one_after_the_other_are_all_kept(
@@ -237,14 +237,14 @@ class House:
             one = next(x for x in store.rounds() if x.name == name)
             return store.stops(one.key)
 
-    def wait_for_stops(self, name: str, number: int) -> list[StopRecord]:
-        wait_until(lambda: len(self.stops(name)) >= number)
+    def wait_for_stops(self, page: Any, name: str, number: int) -> list[StopRecord]:
+        wait_until(page, lambda: len(self.stops(name)) >= number)
         return self.stops(name)
 
-    def wait_for_kept(self, number: int) -> None:
+    def wait_for_kept(self, page: Any, number: int) -> None:
         """Wait until so many captures are safe: measured, or on disk."""
         waiting = WaitingCaptures(self.store.with_suffix(".waiting"))
-        wait_until(lambda: len({x.key for x in waiting.captures()} | self._keys()) >= number)
+        wait_until(page, lambda: len({x.key for x in waiting.captures()} | self._keys()) >= number)
 
     def _keys(self) -> set[str]:
         return {stop.key for stop in self.stops("Monday")}
@@ -288,7 +288,7 @@ def test_a_day_from_the_start_page_to_the_pick_list(
     field(tablet, "Row").fill("3")
     field(tablet, "Row").press("Tab")
     press(tablet, 2)
-    house.wait_for_kept(2)
+    house.wait_for_kept(tablet, 2)
     tablet.reload()
     ready(tablet)
     assert field(tablet, "Row").input_value() == "3"
@@ -300,7 +300,7 @@ def test_a_day_from_the_start_page_to_the_pick_list(
     ready(phone)
     press(phone, 1)
     press(tablet, 1)
-    found = house.wait_for_stops("Monday", 4)
+    found = house.wait_for_stops(tablet, "Monday", 4)
     assert sorted(stop.step or 0 for stop in found) == [1, 2, 3, 4]
     assert {stop.row for stop in found} == {"3"}
     # However near each other the two were pressed, no two stops are at one place.
@@ -312,7 +312,7 @@ def test_a_day_from_the_start_page_to_the_pick_list(
     # A kill in mid-capture: what was pressed is there when the program starts again.
     tablet.wait_for_timeout(500)
     press(tablet, 3)
-    house.wait_for_kept(7)
+    house.wait_for_kept(tablet, 7)
     phone.goto(f"{address}/results")
     phone.get_by_text("tap one to open it").wait_for()
     address.process.kill()
@@ -320,7 +320,7 @@ def test_a_day_from_the_start_page_to_the_pick_list(
     phone.get_by_test_id("stDialog").wait_for()  # Streamlit says that the connection is lost
     address = house.serve()
     tablet.goto(f"{address}/capture")
-    found = house.wait_for_stops("Monday", 7)
+    found = house.wait_for_stops(tablet, "Monday", 7)
     assert sorted(stop.step or 0 for stop in found) == [1, 2, 3, 4, 5, 6, 7]
     tablet.locator("#where").get_by_text("Stop 7: row 3", exact=False).wait_for()
     shot(tablet, "walk-capture")

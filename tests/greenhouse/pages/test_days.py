@@ -86,11 +86,11 @@ def upload(page: Any, packed: Path) -> None:
     page.get_by_text("3 captures saved").wait_for()
 
 
-def wait_for_fruit(store: Path, name: str, number: int) -> None:
+def wait_for_fruit(page: Any, store: Path, name: str, number: int) -> None:
     """Wait until a round's captures are measured, and its views merged."""
     with open_store(store) as opened:
         key = next(x.key for x in opened.rounds() if x.name == name)
-        wait_until(lambda: sum(view.best for view in opened.detections(key)) == number)
+        wait_until(page, lambda: sum(view.best for view in opened.detections(key)) == number)
 
 
 def metrics(page: Any) -> dict[str, str]:
@@ -123,7 +123,7 @@ def test_two_days_from_upload_to_comparison(
     # The first day: upload, and pick a fruit.
     begin_round(page, "Monday")
     upload(page, monday)
-    wait_for_fruit(store, "Monday", 8)
+    wait_for_fruit(page, store, "Monday", 8)
     page.get_by_role("link", name="Days").first.click()
     page.get_by_text("Nothing to compare yet").wait_for()
     page.get_by_role("link", name="Today").first.click()
@@ -133,7 +133,7 @@ def test_two_days_from_upload_to_comparison(
     # The second day: the links between the days are made by themselves.
     begin_round(page, "Tuesday")
     upload(page, tuesday)
-    wait_for_fruit(store, "Tuesday", 7)
+    wait_for_fruit(page, store, "Tuesday", 7)
     page.get_by_role("link", name="Days").first.click()
     page.get_by_text("Compare with").wait_for()
     page.get_by_test_id("stMetricValue").filter(has_text=re.compile("^7$")).first.wait_for()

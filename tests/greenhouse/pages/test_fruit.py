@@ -120,10 +120,10 @@ def mask_of(detail: DetectionDetail) -> Any:
     return decode_rle(detail.view.mask or "", detail.capture.height_px, detail.capture.width_px)
 
 
-def wait_for_action(path: Path, kind: str) -> None:
+def wait_for_action(page: Any, path: Path, kind: str) -> None:
     """Wait until the newest line of the log is of a kind."""
     with open_store(path) as store:
-        wait_until(lambda: store.log(WALK)[0].kind == kind)
+        wait_until(page, lambda: store.log(WALK)[0].kind == kind)
 
 
 def on_screen(page: Any, at_px: Any) -> tuple[float, float]:
@@ -171,7 +171,7 @@ def test_a_fruit_is_outlined_by_a_tap_one_is_added_and_one_deleted(
     # Its outline is drawn anew by a tap, and what became of it is said with the new length.
     page.get_by_role("button", name="Redraw by tap").click()
     page.mouse.click(*on_screen(page, axis[len(axis) // 2]))
-    wait_until(lambda: opened().view.mask_source == "sam")
+    wait_until(page, lambda: opened().view.mask_source == "sam")
     assert opened().view.corrected
     page.get_by_text("Saved: measured with this outline").wait_for()
     page.get_by_role("button", name="Redraw by tap").click()  # it is put away
@@ -183,7 +183,7 @@ def test_a_fruit_is_outlined_by_a_tap_one_is_added_and_one_deleted(
     lost = missed[capture]
     middle = axis_px(lost)[len(axis_px(lost)) // 2]
     page.mouse.click(*on_screen(page, middle))
-    wait_for_action(path, "add")
+    wait_for_action(page, path, "add")
     with open_store(path) as store:
         [new] = {view.key for view in store.detections(WALK)} - found
         added = store.detection(new)
@@ -192,7 +192,7 @@ def test_a_fruit_is_outlined_by_a_tap_one_is_added_and_one_deleted(
 
     # A wrong one is deleted.
     page.locator("[class*='st-key-rejected_'] button").click()
-    wait_for_action(path, "reject")
+    wait_for_action(page, path, "reject")
     assert opened().view.verdict is Verdict.REJECTED
     with open_store(path) as store:
         log = [one for one in store.log(WALK) if one.by != "nobody"]

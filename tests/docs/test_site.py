@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import doctest
-import importlib.util
 import re
 import subprocess
 import sys
@@ -12,7 +11,6 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import pytest
@@ -21,16 +19,6 @@ import cucumbervision
 
 ROOT = Path(__file__).parents[2]
 WRITTEN = [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")]
-
-
-def load_script(name: str) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(name, ROOT / "website" / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # dataclasses look their module up
-    spec.loader.exec_module(module)
-    return module
 
 
 @pytest.fixture(scope="module")
@@ -89,9 +77,10 @@ def test_pages_fit_a_phone_and_fetch_nothing_from_elsewhere(
 
 def test_table_of_methods_is_what_they_read() -> None:
     pytest.importorskip("matplotlib", reason="the extra docs is not installed")
-    figures = load_script("method_figures")
+    import method_figures
+
     text = (ROOT / "docs" / "methods.md").read_text(encoding="utf-8")
-    assert figures.reading_table(figures.load_example()) in text
+    assert method_figures.reading_table(method_figures.load_example()) in text
 
 
 def test_the_readme_quotes_the_results() -> None:
@@ -109,6 +98,8 @@ def test_the_readme_quotes_the_results() -> None:
 
 def test_examples_of_the_links() -> None:
     pytest.importorskip("mkdocs", reason="the extra docs is not installed")
-    result = doctest.testmod(load_script("source_pages"))
+    import source_pages
+
+    result = doctest.testmod(source_pages)
     assert result.attempted > 3
     assert result.failed == 0

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
-from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -13,7 +10,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-FILE = Path(__file__).parents[2] / "benchmarks" / "marked_lengths.py"
 MATRIX = np.array([[912.0, 0.0, 640.0], [0.0, 911.0, 360.0], [0.0, 0.0, 1.0]])
 LENS = np.array([0.09, -0.15, 0.001, -0.0005])
 RADIUS_CM, END_CM = 1.5, 2.55
@@ -21,13 +17,9 @@ RADIUS_CM, END_CM = 1.5, 2.55
 
 @pytest.fixture(scope="module")
 def marked() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("marked_lengths", FILE)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["marked_lengths"] = module  # dataclasses look their module up
-    spec.loader.exec_module(module)
-    return module
+    import marked_lengths
+
+    return marked_lengths
 
 
 class Scene:

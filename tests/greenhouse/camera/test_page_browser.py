@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from tests.greenhouse.conftest import wait_until
 
+from cucumbervision.capture.source import example_captures
 from cucumbervision_greenhouse.store.records import Round, key_of
 from cucumbervision_greenhouse.store.repository import open_store
 from cucumbervision_greenhouse.store.waiting import WaitingCaptures, waiting_folder
@@ -55,7 +56,8 @@ class Walk:
         """Return the keys of all presses that were kept."""
         waiting = {one.key for one in (*self._waiting.captures(), *self._waiting.set_aside())}
         with open_store(self.store) as store:
-            return waiting | {one.key for one in store.stops(WALK.key)}
+            rounds = [one.key for one in store.rounds()]  # drawn captures have one of their own
+            return waiting | {stop.key for key in rounds for stop in store.stops(key)}
 
     def pictures(self) -> set[float]:
         """Return how far the block is in each picture: 1 mm farther in each frame."""
@@ -72,7 +74,7 @@ class Walk:
 
 
 def opened(page: Any, walk: Walk) -> Any:
-    page.goto(f"{walk.address}/capture")
+    page.goto(f"{walk.address}/capture?round={WALK.key}")
     page.locator("button.take:enabled").wait_for()
     page.wait_for_function("document.getElementById('color').naturalWidth > 0")
     page.wait_for_timeout(2000)
@@ -250,8 +252,9 @@ def test_a_line_that_is_half_open_is_said(walk: Walk, new_page: Callable[..., An
 
 
 def test_presses_of_a_page_that_was_closed_offline_are_sent_by_another(
-    walk: Walk, new_page: Callable[..., Any]
+    tmp_path: Path, start_server: Callable[..., Any], new_page: Callable[..., Any]
 ) -> None:
+    walk = Walk(tmp_path, example_captures(), start_server)
     first = opened(new_page(), walk)
     second = opened(first.context.new_page(), walk)
     first.context.set_offline(True)

@@ -74,7 +74,7 @@ class Walk:
 
 
 def opened(page: Any, walk: Walk) -> Any:
-    page.goto(f"{walk.address}/capture?round={WALK.key}")
+    page.goto(f"{walk.address}/capture")
     page.locator("button.take:enabled").wait_for()
     page.wait_for_function("document.getElementById('color').naturalWidth > 0")
     page.wait_for_timeout(2000)
@@ -255,12 +255,16 @@ def test_presses_of_a_page_that_was_closed_offline_are_sent_by_another(
     tmp_path: Path, start_server: Callable[..., Any], new_page: Callable[..., Any]
 ) -> None:
     walk = Walk(tmp_path, example_captures(), start_server)
-    first = opened(new_page(), walk)
-    second = opened(first.context.new_page(), walk)
+    first = new_page()
+    second = first.context.new_page()
+    for page in (first, second):
+        page.goto(f"{walk.address}/capture?round={WALK.key}")
+        page.locator("button.take:enabled").wait_for()
     first.context.set_offline(True)
     for page in (first, second):
         page.locator("button.take").click()
         page.get_by_text("waiting on this device").wait_for()
+    second.wait_for_timeout(2000)  # what a page keeps is on the disk a moment later
     second.close()
     first.context.set_offline(False)
     wait_for_stops(first, walk, 2)

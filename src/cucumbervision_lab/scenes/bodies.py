@@ -39,13 +39,9 @@ class Tube:
     @property
     def poles_m(self) -> Array:
         """The two ends of the axis, shape (2, 3), metres."""
-        first, last = self._end_tangents()
-        return np.stack(
-            [
-                self.centres_m[0] - self.radii_m[0] * first,
-                self.centres_m[-1] + self.radii_m[-1] * last,
-            ]
-        )
+        inner, outer = self.centres_m[[1, -2]], self.centres_m[[0, -1]]
+        out = (outer - inner) / np.linalg.norm(outer - inner, axis=1)[:, None]
+        return np.asarray(outer + self.radii_m[[0, -1], None] * out)
 
     @property
     def axis_m(self) -> Array:
@@ -72,11 +68,6 @@ class Tube:
         """Return the body rotated about the origin by a 3x3 matrix, then translated by metres."""
         centres = self.centres_m @ turn.T + np.asarray(by_m, dtype=float)
         return replace(self, centres_m=centres, outward=self.outward @ turn.T)
-
-    def _end_tangents(self) -> tuple[Array, Array]:
-        first = self.centres_m[1] - self.centres_m[0]
-        last = self.centres_m[-1] - self.centres_m[-2]
-        return first / np.linalg.norm(first), last / np.linalg.norm(last)
 
 
 def arc_tube(
@@ -154,8 +145,7 @@ def rotation(roll_deg: float = 0.0, tilt_deg: float = 0.0, spin_deg: float = 0.0
     from scipy.spatial.transform import Rotation
 
     angles = [roll_deg, -tilt_deg, spin_deg]
-    turn: NDArray[Any] = Rotation.from_euler("ZYX", angles, degrees=True).as_matrix()
-    return turn
+    return np.asarray(Rotation.from_euler("ZYX", angles, degrees=True).as_matrix())
 
 
 _MAX_SLOPE = 0.45  # of the radius along the axis; steeper ends are blunter than a hemisphere
@@ -278,6 +268,7 @@ def random_fruit(
     *,
     bend_radius_m: float | None = None,
     balls: int = _BALLS,
+    slim: float = 1.0,
 ) -> Tube:
     """Sample a fruit of a given length.
 
@@ -294,6 +285,8 @@ def random_fruit(
         large.
     balls : int
         Number of spheres.
+    slim : float
+        Factor for the least radius of the variety.
 
     Returns
     -------
@@ -313,7 +306,7 @@ def random_fruit(
     """
     sizes = SIZES[variety_of(length_m) if variety is None else Variety(variety)]
     share = np.linspace(0.0, 1.0, balls)
-    radii = _radii(rng, length_m, sizes, share)
+    radii = _radii(rng, length_m, sizes, share, slim)
     if bend_radius_m is None:
         # Mostly small curvatures, few near the limit.
         bend = rng.beta(1.0, 2.5) / sizes.bend_radius_m
@@ -331,8 +324,8 @@ def _bending(rng: Generator, share: Array) -> Array:
     return np.asarray(shape / np.abs(shape).mean())
 
 
-def _radii(rng: Generator, length_m: float, sizes: Sizes, share: Array) -> Array:
-    radius = float(rng.uniform(*sizes.radius_m))
+def _radii(rng: Generator, length_m: float, sizes: Sizes, share: Array, slim: float) -> Array:
+    radius = float(rng.uniform(slim * sizes.radius_m[0], sizes.radius_m[1]))
     bulge = 1 + rng.uniform(-0.04, 0.06) * np.sin(np.pi * share)
     bulge += rng.uniform(-0.025, 0.025) * np.sin(2 * np.pi * share)
     bulge += rng.uniform(-0.012, 0.012) * np.sin(

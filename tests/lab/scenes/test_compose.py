@@ -64,16 +64,16 @@ def test_hanging_fruit_hang_down_and_lying_ones_lie_level() -> None:
             assert abs((fruit.poles_m[1] - fruit.poles_m[0]) @ np.array(lain.up)) < 0.02
 
 
-def test_hard_scenes_show_more_fruit_at_more_distances() -> None:
-    def counts_and_depths(*difficulty: Difficulty) -> tuple[list[int], list[float]]:
-        counts, depths = [], []
-        for seed in range(40):
-            staged = compose(np.random.default_rng(seed), CAMERA, Setting.BENCH, *difficulty)
-            counts.append(cucumbers(staged))
-            depths += [float(body.centres_m[:, 2].mean()) for body in staged.scene.fruit]
-        return counts, depths
+def test_hard_scenes_show_more_and_slimmer_fruit_at_more_distances() -> None:
+    def drawn(*difficulty: Difficulty) -> tuple[float, list[float], list[float]]:
+        seeds = map(np.random.default_rng, range(40))
+        scenes = [compose(rng, CAMERA, Setting.BENCH, *difficulty) for rng in seeds]
+        fruit = [body for staged in scenes for body in staged.scene.fruit]
+        depths_m = [float(body.centres_m[:, 2].mean()) for body in fruit]
+        diameters = [body.centreline_m / (2 * float(body.radii_m.max())) for body in fruit]
+        return float(np.mean([cucumbers(staged) for staged in scenes])), depths_m, diameters
 
-    plain, plain_m = counts_and_depths()
-    hard, hard_m = counts_and_depths(HARD)
-    assert np.mean(hard) > 1.3 * np.mean(plain)
+    (plain, plain_m, thick), (hard, hard_m, slim) = drawn(), drawn(HARD)
+    assert hard > 1.3 * plain
     assert max(hard_m) > 1.25 * max(plain_m)
+    assert np.quantile(slim, 0.9) > 1.15 * np.quantile(thick, 0.9)

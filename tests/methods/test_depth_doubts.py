@@ -233,8 +233,8 @@ def test_depth_whose_holes_were_averaged_in_is_flagged(share: float, side_px: in
     assert Flag.DEPTH_UNALIGNED in doubts(with_depth(capture, averaged_m))
 
 
-@pytest.mark.parametrize("tilt_deg", [20, 30, 40])
-def test_a_piece_of_a_neighbour_in_the_outline_gives_no_lower_bound(tilt_deg: int) -> None:
+@pytest.mark.parametrize("tilt_deg", [-30, 20, 30, 40])
+def test_a_piece_of_a_neighbour_in_the_outline_is_a_gap(tilt_deg: int) -> None:
     along = np.array([np.cos(np.deg2rad(tilt_deg)), 0.0, np.sin(np.deg2rad(tilt_deg))])
     first, last = (tuple(reach_m * along + (0.0, 0.0, 0.5)) for reach_m in (0.1, 0.14))
     capture = capsule_capture(lying(0.16, tilt_deg=tilt_deg), Capsule(first, last, 0.015))

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
+from textwrap import shorten
 from typing import Any
 
 import numpy as np
@@ -127,9 +128,10 @@ def match_truth(measured: Measured, truth: Truth) -> list[tuple[TrueLength, Read
     with as_errors_of(truth.path):
         for length in truth.lengths:
             if length.capture not in measured.captures:
+                names = shorten(", ".join(measured.captures), 60, placeholder=" …")
                 raise TruthError(
                     f"line {length.line}: capture '{length.capture}' is not among the measurements "
-                    f"of {measured.path} ({_shortened(measured.captures)})",
+                    f"of {measured.path} ({names})",
                     remedy="measure it, correct its name, or drop the line",
                 )
             if length.fruit is not None and (length.capture, length.fruit) not in readings:
@@ -253,11 +255,6 @@ def _notes(
     if truth.unused:
         note("Columns not used: {names}.", names=", ".join(truth.unused))
     return notes
-
-
-def _shortened(names: Sequence[str]) -> str:
-    remainder = f" and {len(names) - 3} more" if len(names) > 3 else ""
-    return ", ".join(names[:3]) + remainder
 
 
 def write_own_truth(evaluation: OwnTruth, out: Path) -> None:

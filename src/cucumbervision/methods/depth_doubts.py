@@ -53,6 +53,9 @@ _GAP_BEHIND, _NOTCH_BEHIND, _GAP_SHARE, _GAP_RADII, _GAP_READINGS = 1.2, 2.0, 0.
 # to 2.5 above a table); the roughness of planes (0.3 for printed paper, at least 0.4 for leaves).
 _PLANE_RING_RADII, _LEAST_HEIGHT_RADII, _ROUGHNESS_RADII = (-1.2, -0.15), 0.5, 0.3
 _PLANE_STEPS, _PLANE_READINGS = 4, 500
+# Size of a piece relative to the rest, and the share of the readings between the two that do not
+# lie so many radii in front of both, above which it is another fruit's.
+_SMALL_PIECE, _BARE_SHARE, _IN_FRONT_RADII = 0.2, 0.7, 0.3
 # Readings in the outline that lie so many radii behind the surface around them, and their share in
 # three quarters of the sections: that of a rim of 2 px, within limits; distance from the plane.
 _BEHIND_RADII, _IN_PLANE_RADII, _BESIDE_PX, _BESIDE_SHARES = 4.0, 0.3, 2.1, (0.07, 0.25)
@@ -150,12 +153,11 @@ def depth_doubts(
         Flag.DEPTH_UNALIGNED: is_elsewhere,
         Flag.DEPTH_COARSE: is_coarse and not is_too_near,
     }
-    # Wrong depth says nothing of an outline, and an outline of several pieces no lower bound.
+    # Wrong depth says nothing of an outline.
     doubts[Flag.OUTLINE_STEM] = not any(doubts.values()) and _has_stem(body)
-    is_short = not any(doubts.values()) and (
+    doubts[Flag.OUTLINE_SHORT] = not any(doubts.values()) and (
         is_short or any(_goes_on(body, end, color) for end in (-1, 1))
     )
-    doubts[Flag.DEPTH_GAP if is_short and _pieces(body) else Flag.OUTLINE_SHORT] = is_short
     return tuple(flag for flag, holds in doubts.items() if holds)
 
 
@@ -300,14 +302,11 @@ def _has_gap(body: _Body) -> bool:
 
     Parts are connected components, or the wide parts beside a waist (two fruit end to end).
     """
-    if any(_is_open(body, *_nearest(piece, rest)) for piece, rest in _pieces(body)):
+    pieces = _parts(body.depth_radii > _LINE_RADII, _LEAST_PIECE)
+    if any(_is_open(body, piece, rest) for piece, rest in pieces):
         return True
     worn = _parts(body.depth_radii >= _WAIST_SHARE, _LEAST_PART)
     return any(_is_notched(body, *_nearest(part, rest)) for part, rest in worn)
-
-
-def _pieces(body: _Body) -> list[tuple[Mask, Mask]]:
-    return _parts(body.depth_radii > _LINE_RADII, _LEAST_PIECE)
 
 
 def _parts(core: Mask, least: float) -> list[tuple[Mask, Mask]]:
@@ -347,9 +346,17 @@ def _across(
     return read, np.where(read, behind_m / body.radius_m, 0.0)
 
 
-def _is_open(body: _Body, first: Places, last: Places) -> bool:
-    """Return whether the way between two pieces leads over something clearly farther away."""
-    read, behind = _across(body, first, last, np.linspace(-0.3, 0.3, 5) * body.radius_px)
+def _is_open(body: _Body, piece: Mask, rest: Mask) -> bool:
+    """Return whether the way from a piece to the rest leads over something clearly farther away.
+
+    From a small piece, as that of a neighbour, also over anything that is not nearer: what parts
+    the outline of one fruit lies in front of it.
+    """
+    offsets = np.linspace(-0.3, 0.3, 5) * body.radius_px
+    read, behind = _across(body, *_nearest(piece, rest), offsets)
+    is_bare = (behind[read] > -_IN_FRONT_RADII).sum() > _BARE_SHARE * max(read.sum(), _GAP_READINGS)
+    if is_bare and piece.sum() < _SMALL_PIECE * rest.sum():
+        return True
     counts = read.sum(axis=1)
     steps = (counts > 0) & ((behind > _GAP_BEHIND).sum(axis=1) >= _GAP_SHARE * counts)
     ends = np.flatnonzero(np.diff(np.concatenate([[0], steps, [0]])))

@@ -331,7 +331,5 @@ def measure_m5(region: Region) -> Measurement:
 
 
 M1, M2, M3, M4, M5 = map(
-    own_method,
-    (MethodName.M1, MethodName.M2, MethodName.M3, MethodName.M4, MethodName.M5),
-    (measure_m1, measure_m2, measure_m3, measure_m4, measure_m5),
+    own_method, MethodName, (measure_m1, measure_m2, measure_m3, measure_m4, measure_m5)
 )

@@ -424,45 +424,40 @@ def with_end_looks(
     scale_known : bool
         Whether the camera's depth scale is known, as for `measure_fruit`.
     """
-    tubes = {k: tube for k, measured in enumerate(fruit) if (tube := _tube(measured)) is not None}
+    tubes = {
+        k: (tube, tube.fit.traits, measured.mask)
+        for k, measured in enumerate(fruit)
+        if (tube := measured.measurements.get(MethodName.M6)) is not None
+        if tube.fit is not None and measured.mask is not None and measured.mask_source in _DRAWN
+    }
     if not tubes:
         return list(fruit)
-    crops = [
-        end_crop(
-            capture.color, capture.depth_m, mask, capture.intrinsics, line, traits.diameter_max_m
-        )
-        for k, tube in tubes.items()
-        if (mask := fruit[k].mask) is not None and tube.fit is not None
-        for traits in (tube.fit.traits,)
-        for line in (traits.axis_m, traits.axis_m[::-1])
-    ]
-    looks = look(crops)
-    pairs = dict(zip(tubes, zip(looks[::2], looks[1::2], strict=True), strict=True))
-    measure_again = partial(with_length, definition=definition, scale_known=scale_known)
-    return [
-        measure_again(_looked_at(capture, measured, tubes[k], pairs[k])) if k in tubes else measured
-        for k, measured in enumerate(fruit)
-    ]
-
-
-def _tube(fruit: Fruit) -> Measurement | None:
-    tube, drawn = fruit.measurements.get(MethodName.M6), fruit.mask_source in _DRAWN
-    return tube if tube is not None and tube.fit is not None and drawn else None
+    color, depth_m, intrinsics = capture.color, capture.depth_m, capture.intrinsics
+    looks = look(
+        [
+            end_crop(color, depth_m, mask, intrinsics, line, traits.diameter_max_m)
+            for _, traits, mask in tubes.values()
+            for line in (traits.axis_m, traits.axis_m[::-1])
+        ]
+    )
+    pairs, measured_again = zip(looks[::2], looks[1::2], strict=True), list(fruit)
+    for (k, (tube, traits, _)), pair in zip(tubes.items(), pairs, strict=True):
+        ends_px = intrinsics.project(traits.axis_m[[0, -1]])
+        looked_at = _looked_at(fruit[k], tube, pair, ends_px)
+        measured_again[k] = with_length(looked_at, definition, scale_known=scale_known)
+    return measured_again
 
 
 def _looked_at(
-    capture: Capture, fruit: Fruit, tube: Measurement, looks: tuple[EndLook, EndLook]
+    fruit: Fruit, tube: Measurement, looks: tuple[EndLook, EndLook], ends_px: Array
 ) -> Fruit:
-    if tube.fit is None:
-        return fruit
-    looked_at = replace(tube, fit=replace(tube.fit, looks=looks))
+    looked_at = replace(tube, fit=tube.fit and replace(tube.fit, looks=looks))
     selected = looked_at if fruit.selected is tube else fruit.selected
     measurements = {**fruit.measurements, MethodName.M6: looked_at}
     fruit = replace(fruit, measurements=measurements, selected=selected)
     fruit = fruit.unflagged(Flag.INTERVAL_TOO_WIDE)
     if fruit.at_least or selected is not looked_at:
         return fruit
-    ends_px = capture.intrinsics.project(tube.fit.traits.axis_m[[0, -1]])
     doubtful = [
         end_flag(ends_px[k] - ends_px[1 - k])
         for k, look in enumerate(looks)

@@ -1,4 +1,4 @@
-"""Measures greenhouse cucumbers without touching them, from RGB-D pictures.
+"""Measures greenhouse cucumbers without touching them, from RGB-D images.
 
 The public names, which `__init__.pyi` lists; each is loaded when it is first used.
 
@@ -17,7 +17,7 @@ import os
 
 import lazy_loader
 
-# OpenCV makes room for as much as a picture's head promises, up to this; it is read as OpenCV is
+# OpenCV makes room for as much as an image's head promises, up to this; it is read as OpenCV is
 # loaded, and `capture.pictures.MOST_PIXELS` is the same.
 os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", "64000000")
 

@@ -151,7 +151,7 @@ class DiskFullError(FileError):
 
 
 class OutOfMemoryError(CucumberVisionError):
-    """There is not enough memory for a picture or a network."""
+    """There is not enough memory for an image or a network."""
 
 
 class InternalError(CucumberVisionError):
@@ -163,7 +163,7 @@ class CaptureError(CucumberVisionError):
 
 
 class DepthError(CaptureError):
-    """A depth picture cannot be what it is declared to be (unit, bit depth, no readings)."""
+    """A depth image cannot be what it is declared to be (unit, bit depth, no readings)."""
 
 
 class IntrinsicsError(CaptureError):
@@ -171,7 +171,7 @@ class IntrinsicsError(CaptureError):
 
 
 class InstancesError(CucumberVisionError):
-    """A file of boxes or masks cannot be read, or does not fit its pictures."""
+    """A file of boxes or masks cannot be read, or does not fit its images."""
 
 
 class ModelError(CucumberVisionError):
@@ -207,7 +207,7 @@ class CalibrationError(CucumberVisionError):
 
 
 class DataSetError(CucumberVisionError):
-    """Labelled pictures that cannot be read, written or trained on."""
+    """Labelled images that cannot be read, written or trained on."""
 
 
 class StoreError(CucumberVisionError):
@@ -227,7 +227,7 @@ class StoreConflictError(StoreError):
 
 
 class StoredImageError(StoreError):
-    """A stored picture is missing, or its content does not match its name."""
+    """A stored image is missing, or its content does not match its name."""
 
 
 class ProfileError(CucumberVisionError):

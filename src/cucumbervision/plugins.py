@@ -248,7 +248,7 @@ class Segmenter(Protocol):
         Parameters
         ----------
         color_rgb : ndarray of uint8, shape (H, W, 3)
-            The picture, red first.
+            The image, red first.
         instances : sequence of Instance
             The fruit, by their boxes.
 

@@ -25,7 +25,7 @@ def test_detect_shows_a_summary_and_writes_its_files(
     table = {line.split("│")[1].strip(): line.split("│")[2].strip()
              for line in done.stdout.splitlines() if line.startswith("│")}  # fmt: skip
     assert (table["pictures"], table["fruit"], table["mean score"]) == ("1", "1", "0.75")
-    assert table["no pictures, skipped"] == "1"
+    assert table["no images, skipped"] == "1"
     assert "b.png: is not a readable picture" in done.stderr
     written = {"results.json", "images.json", "failures.csv", "overlays"}
     assert {p.name for p in out.iterdir()} == written

@@ -261,8 +261,6 @@ def test_what_fails_leaves_the_rest_of_the_row(bench: Capture) -> None:
     segmenter = Measurer(
         MeasureOptions(instances="dataset"), plug_ins=PlugIns(segmenter=Broken())
     ).attempt(bench)
-    assert [fruit.length for fruit in segmenter.fruit] == [None] * 3 or len(segmenter.fruit) == 3
-    assert all(Flag.PLUGIN_FAILED in fruit.flags for fruit in segmenter.fruit)
     assert "returned 1 masks for 3 fruit" in segmenter.failures[0].message
 
 

@@ -126,24 +126,13 @@ def test_ids_count_only_where_a_file_has_no_names(tmp_path: Path) -> None:
     file = read_instances(path)
     assert len(file.for_capture(["b"], WIDTH, HEIGHT, frame=7)[0]) == 1
     assert file.for_capture(["b"], WIDTH, HEIGHT, frame=8)[0] == ()
-    assert file.coverage([(["b"], 7), (["c", ""], 8)]) == (["c"], [])
-
-
-def test_what_has_no_counterpart_is_listed(tmp_path: Path) -> None:
-    path = coco(tmp_path / "c.json", {"bbox": [2, 1, 5, 4]})
-    data = json.loads(path.read_text())
-    data["annotations"].append({"id": 9, "image_id": 99, "category_id": 3, "bbox": [1, 1, 2, 2]})
-    path.write_text(json.dumps(data))
-    file = read_instances(path)
-    assert file.coverage([(["a"], 1), (["b", "row1/b.png"], 7)]) == (["b"], ["image id 99"])
-    assert file.coverage([(["b"], 7)]) == (["b"], ["row1/a.png", "image id 99"])
 
 
 def test_the_folder_in_a_name_tells_two_captures_of_one_name_apart(tmp_path: Path) -> None:
-    captures = [(("rgb_1", "a/rgb_1.png"), 0), (("rgb_1-2", "b/rgb_1.png"), 1)]
     box = {"bbox": [1, 1, 5, 5]}
     file = read_instances(coco(tmp_path / "c.json", box, file_name="a/rgb_1.png"))
-    assert file.coverage(captures) == (["rgb_1-2"], [])
+    assert file.find(("rgb_1", "a/rgb_1.png"), 0) is file.pictures[0]
+    assert file.find(("rgb_1-2", "b/rgb_1.png"), 1) is None
 
 
 def test_another_size_is_refused(tmp_path: Path) -> None:

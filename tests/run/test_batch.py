@@ -30,11 +30,11 @@ from cucumbervision.errors import (
 from cucumbervision.fruit.instance import Instance, MaskSource
 from cucumbervision.methods.flags import Flag
 from cucumbervision.methods.result import Fruit, LengthDefinition, MethodName
+from cucumbervision.run import batch
 from cucumbervision.run.batch import (
     Engine,
     Item,
-    Listed,
-    Outcome,
+    Labels,
     Processes,
     ResultWorker,
     Worker,
@@ -46,7 +46,7 @@ from cucumbervision.run.batch import (
     measure_all,
     read_captures,
 )
-from cucumbervision.run.measurer import Failure, Measurer
+from cucumbervision.run.measurer import CaptureResult, Failure, Measurer
 from cucumbervision.run.options import MeasureOptions
 from cucumbervision.run.whole_run import BatchOptions, measure_inputs
 
@@ -54,11 +54,11 @@ OPTIONS = MeasureOptions(instances="dataset", methods=(MethodName.M1, MethodName
 
 
 def test_two_processes_give_the_rows_of_one_and_recordings_are_read_in_the_parent(
-    tmp_path: Path,
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     here = os.getpid()
 
-    def opener(path: Path, options: ReadOptions) -> CaptureSource:
+    def opener(path: Path, options: ReadOptions, _: object) -> CaptureSource:
         """The bundled captures, the second as a recording's: known by loading it alone."""
         first, second, third = open_source(path, options)
 
@@ -70,11 +70,12 @@ def test_two_processes_give_the_rows_of_one_and_recordings_are_read_in_the_paren
         refs = [first, played, third, CaptureRef("end", -1, _raise, "end")]
         return CaptureSource(path, "test", lambda: iter(refs), len(refs))
 
+    monkeypatch.setattr(batch, "open_source", opener)
     tables: list[list[bytes]] = []
     for engine in (in_process, Processes(2)):
         out = tmp_path / f"out{len(tables)}"
-        batch = BatchOptions(opener=opener, engine=engine)
-        result = measure_inputs([example_captures()], out, OPTIONS, batch=batch)
+        options = BatchOptions(engine=engine)
+        result = measure_inputs([example_captures()], out, OPTIONS, batch=options)
         assert (result.captures, result.exit_code) == (3, 1)
         tables.append([(out / f"{n}.csv").read_bytes() for n in ("measurements", "failures")])
     assert tables[0] == tables[1]
@@ -95,12 +96,12 @@ def killing(path: Path, once: Path) -> Capture:
 
 @pytest.mark.parametrize("always", [False, True])
 def test_a_worker_that_is_killed_costs_at_most_its_own_capture(
-    tmp_path: Path, always: bool
+    tmp_path: Path, always: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     house = Path(shutil.copytree(example_captures(), tmp_path / "house"))
     once = tmp_path / ("nowhere" if always else "house") / "once"
 
-    def opener(path: Path, options: ReadOptions) -> CaptureSource:
+    def opener(path: Path, options: ReadOptions, _: object) -> CaptureSource:
         def refs() -> Iterator[CaptureRef]:
             first, *others = open_source(path, options)
             yield replace(first, load=Killing(house / first.name, once))
@@ -108,8 +109,9 @@ def test_a_worker_that_is_killed_costs_at_most_its_own_capture(
 
         return CaptureSource(path, "test", refs, 3)
 
-    batch = BatchOptions(opener=opener, engine=Processes(2))
-    result = measure_inputs([house], tmp_path / "out", OPTIONS, batch=batch)
+    monkeypatch.setattr(batch, "open_source", opener)
+    options = BatchOptions(engine=Processes(2))
+    result = measure_inputs([house], tmp_path / "out", OPTIONS, batch=options)
     assert (result.captures, result.exit_code) == ((2, 1) if always else (3, 0))
     assert [failure.capture for failure in result.failures] == ["simulated-bench"] * always
     assert all("was killed twice" in failure.message for failure in result.failures)
@@ -128,22 +130,22 @@ class Killing:
 class Names(Worker[str]):
     """Makes of each result its capture's name."""
 
-    def measure(self, capture: Capture) -> Outcome[str]:
-        return Outcome(capture.name)
+    def measure(self, capture: Capture) -> str:
+        return capture.name
 
 
 @pytest.mark.parametrize("engine", [in_turn, in_process, Processes(2)])
 def test_outcomes_come_in_order_with_failures_as_values(engine: Engine) -> None:
     first, second, third = list_captures([example_captures()], OPTIONS.reading)
     nowhere = Failure("nowhere", "", "CaptureError", "nowhere: does not exist")
-    broken = Listed("house", CaptureRef("broken", 0, _raise), "broken")
+    broken = CaptureRef("broken", 0, _raise, input="house")
     items = [first, nowhere, second, broken, third]
     done = list(measure_all(items, Names(Measurer(OPTIONS)), engine))
     assert [item for item, _ in done] == items
-    names = ["simulated-bench", None, "simulated-row-a", None, "simulated-row-b"]
-    assert [outcome.value for _, outcome in done] == names
-    told = [[failure.message for failure in outcome.failures] for _, outcome in done]
-    assert told == [[], ["nowhere: does not exist"], [], ["recording: stopped in the middle"], []]
+    answers = [x.message if isinstance(x, Failure) else x for _, x in done]
+    failed = ["nowhere: does not exist", "recording: stopped in the middle"]
+    names = ["simulated-bench", "simulated-row-a", "simulated-row-b"]
+    assert answers == [names[0], failed[0], names[1], failed[1], names[2]]
 
 
 def test_in_turn_asks_for_no_item_before_the_last_was_dealt_with() -> None:
@@ -151,14 +153,13 @@ def test_in_turn_asks_for_no_item_before_the_last_was_dealt_with() -> None:
 
     def items() -> Iterator[Item]:
         for capture in list_captures([example_captures()], OPTIONS.reading):
-            assert isinstance(capture, Listed)
+            assert isinstance(capture, CaptureRef)
             log.append(f"asked {capture.name[-1]}")
             yield capture
 
-    for item, outcome in measure_all(items(), ResultWorker(Measurer(OPTIONS)), in_turn):
-        assert isinstance(item, Listed)
-        assert outcome.value is not None
-        log.append(f"done {outcome.value.capture.name[-1]}")
+    for _, result in measure_all(items(), ResultWorker(Measurer(OPTIONS)), in_turn):
+        assert isinstance(result, CaptureResult)
+        log.append(f"done {result.capture.name[-1]}")
     assert log == ["asked h", "done h", "asked a", "done a", "asked b", "done b"]
 
 
@@ -166,11 +167,11 @@ def test_a_stopped_loop_begins_nothing_and_still_names_what_failed() -> None:
     first, second, _ = list_captures([example_captures()], OPTIONS.reading)
     nowhere = Failure("nowhere", "", "CaptureError", "nowhere: does not exist")
     seen: list[str | None] = []
-    for _, outcome in measure_all(
+    for _, answer in measure_all(
         [first, second, nowhere], Names(Measurer(OPTIONS)), in_turn, lambda: bool(seen)
     ):
-        seen.append(outcome.value or "".join(failure.message for failure in outcome.failures))
-    assert seen == ["simulated-bench", "", "nowhere: does not exist"]
+        seen.append(answer.message if isinstance(answer, Failure) else answer)
+    assert seen == ["simulated-bench", None, "nowhere: does not exist"]
 
 
 def test_what_nothing_can_be_measured_without_ends_the_loop(tmp_path: Path) -> None:
@@ -211,7 +212,7 @@ def test_pictures_that_belong_to_no_capture_are_said(
     with caplog.at_level(logging.WARNING):
         found = list(read_captures([tmp_path], ReadOptions()))
     assert [one.name for one in found if not isinstance(one, Failure)] == ["a"]
-    said = f"{tmp_path}: 2 pictures belong to no capture: depth_7.png, b/rgb_8.jpg"
+    said = f"{tmp_path}: 2 images belong to no capture: depth_7.png, b/rgb_8.jpg"
     assert [record.getMessage() for record in caplog.records] == [said]
 
 
@@ -382,3 +383,23 @@ def test_depth_that_is_no_metres_is_refused(
     capture = capsule_capture(lying(0.16, distance_m=0.9), wall_m=1.4)
     with pytest.raises(DepthError, match=words):
         measure(capture.color, depth(capture.depth_m), capture.intrinsics, masks=capture.masks)
+
+
+def test_captures_and_labels_without_a_counterpart_are_named(tmp_path: Path) -> None:
+    path = tmp_path / "c.json"
+    images = [{"id": k, "file_name": f"row1/{n}.png"} for k, n in enumerate("ac")]
+    boxes = [{"id": 0, "image_id": 0, "category_id": 1, "bbox": [2, 1, 5, 4]}]
+    path.write_text(json.dumps({"images": images, "annotations": boxes, "categories": []}))
+    a, again, b = (CaptureRef(name, 0, _raise, f"row1/{name}.png") for name in "aab")
+    labels = Labels(str(path))
+    first, second, third = labels.checked([a, replace(again, name="a-2"), b])
+    assert (first, third) == (a, b)
+    assert isinstance(second, Failure)
+    assert "names row1/a.png once, which both a and a-2 are" in second.message
+    notes = [f"{path}: no fruit given for b", f"{path}: no capture is called row1/c.png"]
+    assert labels.notes() == notes
+    lost = Labels(str(path))
+    assert list(lost.checked([b]))
+    with pytest.raises(InstancesError, match=r"names none of the captures \(b\); it names row1/a"):
+        lost.notes()
+    assert Labels("auto").notes() == []

@@ -9,11 +9,11 @@ from typing import Any
 
 import pytest
 
-from cucumbervision.capture.source import example_captures
+from cucumbervision.capture.source import CaptureRef, example_captures
 from cucumbervision.errors import CucumberVisionError, DiskFullError
 from cucumbervision.methods.result import MethodName
 from cucumbervision.run import whole_run as run
-from cucumbervision.run.batch import Item, Listed, Outcome, RayEngine
+from cucumbervision.run.batch import Item, RayEngine
 from cucumbervision.run.options import MeasureOptions
 from cucumbervision.run.whole_run import BatchOptions, FolderWorker, measure_inputs
 
@@ -49,9 +49,9 @@ def test_what_cannot_be_loaded_is_said(tmp_path: Path) -> None:
 class KilledWorker(FolderWorker):
     """A worker whose process is killed by one capture, as by a full memory."""
 
-    def __call__(self, item: Item) -> Outcome[Any]:
+    def __call__(self, item: Item) -> Any:
         """Measure a capture, unless it is this one."""
-        if isinstance(item, Listed) and item.name == "simulated-row-b":
+        if isinstance(item, CaptureRef) and item.name == "simulated-row-b":
             os.kill(os.getpid(), signal.SIGKILL)
         return super().__call__(item)
 

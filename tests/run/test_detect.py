@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from cucumbervision.capture.frames import Capture
+from cucumbervision.capture.source import CaptureRef
 from cucumbervision.errors import CucumberVisionError, ModelError
 from cucumbervision.fruit.mask_codes import decode_rle
 from cucumbervision.networks.registry import Registry
-from cucumbervision.run.batch import Item, Listed
+from cucumbervision.run.batch import Item
 from cucumbervision.run.detect import DetectResult, detect_inputs, find_pictures
 from cucumbervision.run.measurer import Failure
 from cucumbervision.run.options import MeasureOptions
@@ -188,7 +189,7 @@ def test_an_interrupted_run_leaves_what_it_found(
 
 
 def names(items: list[Item]) -> list[str]:
-    return [one.name for one in items if isinstance(one, Listed)]
+    return [one.name for one in items if isinstance(one, CaptureRef)]
 
 
 @pytest.fixture
@@ -239,6 +240,6 @@ def test_what_is_not_there_is_told(tmp_path: Path) -> None:
     found, _ = find_pictures([tmp_path / "none.jpg", tmp_path / "empty"])
     assert [one.message for one in found if isinstance(one, Failure)] == [
         f"{tmp_path}/none.jpg: does not exist; check the path",
-        f"{tmp_path}/empty: there are no pictures; name JPEG, PNG, WebP, TIFF or BMP files, or a "
+        f"{tmp_path}/empty: there are no images; name JPEG, PNG, WebP, TIFF or BMP files, or a "
         "folder with some",
     ]

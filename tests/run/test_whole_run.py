@@ -27,11 +27,11 @@ from cucumbervision.files import as_path, cell_value
 from cucumbervision.methods.result import LengthDefinition, MethodName, Selector
 from cucumbervision.networks.registry import load_registry
 from cucumbervision.plugins import Plugin
-from cucumbervision.run.batch import Outcome
+from cucumbervision.run import batch
 from cucumbervision.run.finders import Finder
+from cucumbervision.run.measurer import Failure
 from cucumbervision.run.options import MeasureOptions
 from cucumbervision.run.whole_run import (
-    BatchOptions,
     CaptureRecord,
     OutputFolder,
     deciding_sha256,
@@ -48,15 +48,15 @@ def run_out(tmp_path_factory: pytest.TempPathFactory) -> Path:
     broken = folder / "broken"
     shutil.copytree(example_captures() / "simulated-bench", broken)
     (broken / "depth_000002.png").write_bytes(b"\x89PNG\r\n")
-    seen: list[Outcome[CaptureRecord]] = []
+    seen: list[CaptureRecord | Failure] = []
     result = measure_inputs(
         [broken, example_captures(), folder / "missing"],
         folder / "out",
         MeasureOptions(),
         seen.append,
     )
-    assert [len(one.failures) for one in seen] == [1, 0, 0, 0, 1]
-    assert [len(one.value.rows) for one in seen if one.value is not None] == [3, 3, 2]
+    assert [isinstance(one, Failure) for one in seen] == [True, False, False, False, True]
+    assert [len(one.rows) for one in seen if isinstance(one, CaptureRecord)] == [3, 3, 2]
     assert result.exit_code == 1
     assert result.captures == 3
     assert len(result.rows) == 8
@@ -253,7 +253,9 @@ def test_an_output_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
         measure_inputs([example_captures()], file / "out", MeasureOptions())
 
 
-def test_whatever_is_raised_in_one_capture_the_others_go_on(tmp_path: Path) -> None:
+def test_whatever_is_raised_in_one_capture_the_others_go_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     good = next(iter(open_source(example_captures() / ROW_A)))
 
     def too_large() -> Capture:
@@ -262,7 +264,7 @@ def test_whatever_is_raised_in_one_capture_the_others_go_on(tmp_path: Path) -> N
     def endless() -> Capture:
         return replace(good.load(), burst_size=int(float("inf")))
 
-    def opener(path: Path, _: ReadOptions) -> CaptureSource:
+    def opener(path: Path, *_: object) -> CaptureSource:
         def refs() -> Iterator[CaptureRef]:
             yield CaptureRef("too_large", 0, too_large)
             yield CaptureRef("endless", 0, endless)
@@ -272,7 +274,8 @@ def test_whatever_is_raised_in_one_capture_the_others_go_on(tmp_path: Path) -> N
         return CaptureSource(path, "test", refs)
 
     options = MeasureOptions(methods=(MethodName.M1,))
-    result = measure_inputs([Path("house")], tmp_path, options, batch=BatchOptions(opener=opener))
+    monkeypatch.setattr(batch, "open_source", opener)
+    result = measure_inputs([Path("house")], tmp_path, options)
     assert (result.captures, len(result.rows), result.exit_code) == (1, 3, 70)
     assert [(f.capture, f.error) for f in result.failures] == [
         ("too_large", "OutOfMemoryError"),

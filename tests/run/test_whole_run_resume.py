@@ -14,7 +14,7 @@ import pytest
 
 from cucumbervision.capture.source import ReadOptions, example_captures
 from cucumbervision.methods.result import MethodName
-from cucumbervision.run.batch import Outcome
+from cucumbervision.run.measurer import Failure
 from cucumbervision.run.options import MeasureOptions
 from cucumbervision.run.whole_run import BatchOptions, CaptureRecord, RunResult, measure_inputs
 
@@ -41,9 +41,9 @@ class Watched:
         self.measured.clear()
         return measure_inputs(inputs or [self.house], self.out, options, self._note, batch)
 
-    def _note(self, outcome: Outcome[CaptureRecord]) -> None:
-        if outcome.value is not None and not outcome.value.is_earlier:
-            self.measured.append(outcome.value.capture["name"])
+    def _note(self, done: CaptureRecord | Failure) -> None:
+        if isinstance(done, CaptureRecord) and not done.is_earlier:
+            self.measured.append(done.capture["name"])
 
     def tables(self) -> list[bytes]:
         return [(self.out / name).read_bytes() for name in TABLES]

@@ -13,7 +13,7 @@ class Stream(StrEnum):
 
 
 class DepthAlong(StrEnum):
-    """Direction in which the values of a depth picture are measured."""
+    """Direction in which the values of a depth image are measured."""
 
     AXIS = "axis"
     RAY = "ray"

@@ -354,7 +354,7 @@ class DepthQuality:
     Parameters
     ----------
     fill : float
-        Share of valid readings in the centre of the picture, 0 to 1.
+        Share of valid readings in the centre of the image, 0 to 1.
     distance_m : float, optional
         Distance of the nearest tenth of the centre, that is of the fruit, not the background.
     verdict : str
@@ -370,7 +370,7 @@ class DepthQuality:
 
 
 def depth_quality(capture: Capture) -> DepthQuality:
-    """Return the depth quality of a frame from its centre and the motion of the picture.
+    """Return the depth quality of a frame from its centre and the motion of the image.
 
     Examples
     --------

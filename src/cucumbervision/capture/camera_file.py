@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import re
 from dataclasses import fields
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from pathlib import Path
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, PlainValidator, model_validator
 
+from cucumbervision.arrays import Array
 from cucumbervision.capture.intrinsics import (
     DepthAlong,
     Distortion,
@@ -19,11 +21,6 @@ from cucumbervision.capture.intrinsics import (
 from cucumbervision.capture.pictures import read_array
 from cucumbervision.errors import IntrinsicsError, as_errors_of, wrap_reader_errors
 from cucumbervision.files import parse_model, read_json, read_text
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from cucumbervision.arrays import Array
 
 
 class StrictModel(BaseModel):
@@ -185,7 +182,7 @@ def read_camera_file(path: Path) -> CameraFile:
     Returns
     -------
     CameraFile
-        Contents of the file; use `check_intrinsics` to check them against a picture.
+        Contents of the file; use `check_intrinsics` to check them against an image.
 
     Raises
     ------

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any, Self
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -68,7 +69,7 @@ class Capture:
     depth_m : ndarray of float32, shape (H, W)
         Metres, aligned to colour; 0 for no reading.
     intrinsics : Intrinsics
-        Intrinsics of the colour stream at the picture's size.
+        Intrinsics of the colour stream at the image's size.
     name : str
         Name in tables and file names; unique within a source.
     frame : int
@@ -78,7 +79,7 @@ class Capture:
     burst_size : int
         Number of fused frames.
     moved_px : float
-        Motion of the picture within the burst, pixels; frames that moved too far were dropped.
+        Motion of the image within the burst, pixels; frames that moved too far were dropped.
     masks : tuple of ndarray of bool, shape (H, W)
         Fruit masks of the data set, if any.
     stop : Stop
@@ -101,7 +102,7 @@ class Capture:
     CaptureError
         If sizes of colour, depth and masks differ, a dtype is wrong, or gravity has no direction.
     IntrinsicsError
-        If the intrinsics belong to another stream or size of picture.
+        If the intrinsics belong to another stream or size of image.
 
     Examples
     --------
@@ -196,7 +197,7 @@ class Capture:
         DepthError
             If depth has 8 bits, or its unit is not the declared one.
         IntrinsicsError
-            If the matrix is not a camera matrix, or belongs to another picture size.
+            If the matrix is not a camera matrix, or belongs to another image size.
 
         Examples
         --------
@@ -236,7 +237,7 @@ class FusedBurst:
     Parameters
     ----------
     color : ndarray of uint8, shape (H, W, 3)
-        The sharpest picture, the first of equally sharp ones.
+        The sharpest image, the first of equally sharp ones.
     depth_m : ndarray of float32, shape (H, W)
         `median_depth` of the frames without motion relative to `color`.
     burst_frame : int
@@ -260,14 +261,14 @@ def fuse_burst(colors: Sequence[Pixels], depths_m: Sequence[Array32]) -> FusedBu
     Parameters
     ----------
     colors : sequence of ndarray of uint8, shape (H, W, 3)
-        RGB pictures.
+        RGB images.
     depths_m : sequence of ndarray of float32, shape (H, W)
-        Depth in metres, aligned to colour, one per colour picture.
+        Depth in metres, aligned to colour, one per colour image.
 
     Raises
     ------
     CaptureError
-        If the burst is empty, or numbers or sizes of the pictures differ.
+        If the burst is empty, or numbers or sizes of the images differ.
 
     Examples
     --------
@@ -303,7 +304,7 @@ def fuse_burst(colors: Sequence[Pixels], depths_m: Sequence[Array32]) -> FusedBu
 
 
 def sharpness(color: Pixels) -> float:
-    """Return the sharpness of a picture, the variance of the Laplacian of its grey values.
+    """Return the sharpness of an image, the variance of the Laplacian of its grey values.
 
     Source: Pech-Pacheco et al. (2000), "Diatom autofocusing in brightfield microscopy".
 
@@ -317,8 +318,6 @@ def sharpness(color: Pixels) -> float:
     >>> sharpness(np.full((8, 8, 3), 90, np.uint8))
     0.0
     """
-    import cv2
-
     grey = cv2.cvtColor(color, cv2.COLOR_RGB2GRAY)
     _, deviation = cv2.meanStdDev(cv2.Laplacian(grey, cv2.CV_16S))
     return float(np.ravel(deviation)[0] ** 2)
@@ -385,7 +384,7 @@ def moved_px(reference: Pixels, pictures: Sequence[Pixels]) -> list[float]:
     -------
     list of float
         The 90 % quantile of the corners' motion, pixels; infinity if most corners are lost, and 0
-        if the picture has too few corners.
+        if the image has too few corners.
 
     Examples
     --------
@@ -395,8 +394,6 @@ def moved_px(reference: Pixels, pictures: Sequence[Pixels]) -> list[float]:
     >>> [round(x) for x in moved_px(leaf, [leaf, np.roll(leaf, 12, axis=1)])]
     [0, 12]
     """
-    import cv2
-
     first, scale = _small_grey(reference)
     strongest = float(np.max(cv2.cornerMinEigenVal(first, 5)))
     if strongest < _CORNER_STRENGTH:
@@ -412,7 +409,7 @@ def moved_px(reference: Pixels, pictures: Sequence[Pixels]) -> list[float]:
 
 
 def still_px(color: Pixels) -> float:
-    """Return the maximum motion that counts as still for this picture size, pixels.
+    """Return the maximum motion that counts as still for this image size, pixels.
 
     Examples
     --------
@@ -423,15 +420,10 @@ def still_px(color: Pixels) -> float:
 
 
 def _moved(first: Pixels, second: Pixels, corners: Array32) -> float:
-    import cv2
-
     # OpenCV writes into the last argument if it is given.
-    moved, forward_status, _ = cv2.calcOpticalFlowPyrLK(
-        first, second, corners, np.zeros_like(corners)
-    )
-    returned, backward_status, _ = cv2.calcOpticalFlowPyrLK(
-        second, first, moved, np.zeros_like(corners)
-    )
+    buffers = np.zeros((2, *corners.shape), np.float32)
+    moved, forward_status, _ = cv2.calcOpticalFlowPyrLK(first, second, corners, buffers[0])
+    returned, backward_status, _ = cv2.calcOpticalFlowPyrLK(second, first, moved, buffers[1])
     same = np.linalg.norm(np.asarray(returned) - corners, axis=1) < _THERE_AND_BACK_PX
     same &= (np.ravel(forward_status) == 1) & (np.ravel(backward_status) == 1)
     if np.count_nonzero(same) < len(corners) / 2:
@@ -448,9 +440,7 @@ def _levelled(grey: Pixels) -> Pixels:
 
 
 def _small_grey(color: Pixels) -> tuple[Pixels, float]:
-    """Return a downscaled grey picture and its scale factor."""
-    import cv2
-
+    """Return a downscaled grey image and its scale factor."""
     grey = cv2.cvtColor(color, cv2.COLOR_RGB2GRAY)
     scale = max(grey.shape[1] / _WIDTH_PX, 1.0)
     size = round(grey.shape[1] / scale), max(round(grey.shape[0] / scale), 1)
@@ -461,7 +451,7 @@ def _small_grey(color: Pixels) -> tuple[Pixels, float]:
 _PLANE_SAMPLES, _LEAST_PLANE_SAMPLES = 800, 100
 _ON_PLANE = 0.01  # of the distance
 # Real boards and tables hold 0.47 to 0.94 of the readings, and 0.11 to 0.18 read the other way;
-# pictures between plants hold 0.01 to 0.12 both ways.
+# images between plants hold 0.01 to 0.12 both ways.
 _LEAST_PLANE_SHARE, _CLEARLY = 0.4, 2.5
 
 
@@ -476,7 +466,7 @@ def depth_along_axis(depth_m: Array32, camera: Intrinsics) -> Array32:
     depth_m : ndarray of float32, shape (H, W)
         Distances from the camera's centre, metres; 0 for no reading.
     camera : Intrinsics
-        The camera of the depth picture, of size (W, H).
+        The camera of the depth image, of size (W, H).
 
     Returns
     -------
@@ -499,8 +489,8 @@ def depth_along_axis(depth_m: Array32, camera: Intrinsics) -> Array32:
 def is_along_ray(depth_m: Array32, camera: Intrinsics) -> bool:
     """Return whether depth shows a plane only if it is taken for distances along each pixel's ray.
 
-    Most pictures of fruit on a table, a board or before a wall show a plane. Read along the wrong
-    direction it is a bowl. Without a plane over much of the picture, as between plants, or in a
+    Most images of fruit on a table, a board or before a wall show a plane. Read along the wrong
+    direction it is a bowl. Without a plane over much of the image, as between plants, or in a
     narrow view the direction cannot be determined.
 
     Parameters

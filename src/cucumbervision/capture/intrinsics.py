@@ -7,30 +7,24 @@ RealSense SDK; a box's edges lie half a pixel outside its outermost pixel centre
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
+from cucumbervision.arrays import Array, Array32, Numbers
 from cucumbervision.capture import DepthAlong as DepthAlong
 from cucumbervision.capture import Stream as Stream
 from cucumbervision.errors import IntrinsicsError
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import ArrayLike, NDArray
-
-    from cucumbervision.arrays import Array, Array32, Numbers
-
 
 _SHORTEST_FOCAL, _LONGEST_FOCAL = 0.05, 100.0  # range of focal lengths relative to the longer side
 # Maxima: ratio of the focal lengths, distortion coefficient, entry of a camera matrix.
 _MOST_ASPECT, _MOST_COEFFICIENT, _MOST_PX = 1.5, 1e3, 1e9
 _WIDEST_TANGENT = 20.0  # maximum tangent of a pixel's viewing angle
 # A principal point that lies off the middle by the same factor in both directions, within
-# `_SAME_FACTOR`, belongs to a picture of another size; within `_CENTRED` of 1 cameras vary.
+# `_SAME_FACTOR`, belongs to an image of another size; within `_CENTRED` of 1 cameras vary.
 # `_OFF_CENTRE` is a share of the image's size.
 _SAME_FACTOR, _CENTRED, _OFF_CENTRE = 0.06, 0.09, 0.06
 _LARGEST_FOOTPRINT = 4096.0  # colour pixels of one depth pixel; of a D4xx it is under 100
@@ -312,19 +306,19 @@ def check_intrinsics(
     color: Intrinsics | None = None,
     source: object = None,
 ) -> Intrinsics:
-    """Check that intrinsics belong to a colour picture of a given size.
+    """Check that intrinsics belong to a colour image of a given size.
 
     Depth aligned to colour needs the intrinsics of the colour camera. Those of another stream or
     size scale every length; the error message states by how much for a fruit across the view:
     f_right / f_wrong - 1. The check uses stream, size and the principal point, which shows the size
-    of picture that a matrix belongs to; not the value of the focal length.
+    of image that a matrix belongs to; not the value of the focal length.
 
     Parameters
     ----------
     camera : Intrinsics
         Intrinsics to check.
     width, height : int
-        Size of the colour picture to which depth is aligned, pixels.
+        Size of the colour image to which depth is aligned, pixels.
     color : Intrinsics, optional
         Colour intrinsics of the capture, if known.
     source : object, optional
@@ -390,7 +384,7 @@ def check_intrinsics(
 
 
 def _check_principal_point(camera: Intrinsics, source: object) -> None:
-    """Refuse a principal point that no camera's picture has, or that fits another picture size."""
+    """Refuse a principal point that no camera's image has, or that fits another image size."""
     width, height = camera.size
     centre = {"cx": camera.cx_px, "cy": camera.cy_px}
     across, down = 2 * camera.cx_px / width, 2 * camera.cy_px / height
@@ -422,8 +416,8 @@ def _check_principal_point(camera: Intrinsics, source: object) -> None:
 def is_off_centre(intrinsics: Intrinsics) -> bool:
     """Return whether the principal point lies where cameras do not have it, but a cut-out may.
 
-    Real colour cameras have it within 4 % of the image's size from the middle. A picture that
-    was cut out of a larger one may have it anywhere; so does a matrix of another picture.
+    Real colour cameras have it within 4 % of the image's size from the middle. An image that
+    was cut out of a larger one may have it anywhere; so does a matrix of another image.
 
     Examples
     --------
@@ -553,4 +547,4 @@ def color_sources(
 
 
 MASKS = "mask_visib"
-"""Folder of a data set's masks, beside the pictures of a capture or of a BOP scene."""
+"""Folder of a data set's masks, beside the images of a capture or of a BOP scene."""

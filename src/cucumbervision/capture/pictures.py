@@ -5,28 +5,24 @@ from __future__ import annotations
 import io
 import math
 import zlib
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING, cast
+from pathlib import Path
+from typing import cast
 
+import cv2
 import numpy as np
-from numpy.lib import format as npy
 
+from cucumbervision.arrays import Array32, Mask, Numbers, Pixels
 from cucumbervision.errors import CaptureError, DepthError, Message, joined, wrap_reader_errors
 from cucumbervision.files import read_bytes, read_text, write_bytes
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-    from pathlib import Path
-
-    from cucumbervision.arrays import Array32, Mask, Numbers, Pixels
-
 
 COLOR_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".ppm"})
 PHOTO_SUFFIXES = COLOR_SUFFIXES | {".webp"}
 DEPTH_SUFFIXES = frozenset({".png", ".tif", ".tiff", ".pgm", ".npy", ".csv"})
 
 MOST_PIXELS = 64_000_000
-"""Maximum size of a picture; OpenCV is configured to reject larger ones by their header."""
+"""Maximum size of an image; OpenCV is configured to reject larger ones by their header."""
 MOST_BURST_PIXELS, MOST_MASK_PIXELS = 4 * MOST_PIXELS, 10 * MOST_PIXELS
 """Maximum total size of the frames of a burst, and of the masks of a frame."""
 
@@ -37,7 +33,7 @@ _JPEG = b"\xff\xd8"
 
 
 def read_color(path: Path) -> Pixels:
-    """Read a colour picture.
+    """Read a colour image.
 
     Returns
     -------
@@ -47,17 +43,15 @@ def read_color(path: Path) -> Pixels:
     Raises
     ------
     CaptureError
-        If the file is missing, truncated or no picture.
+        If the file is missing, truncated or no image.
     """
-    import cv2
-
     # Ignore the EXIF orientation, because depth would not be rotated with it.
     image = _decode(path, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     return cast("Pixels", cv2.cvtColor(image, cv2.COLOR_BGR2RGB))
 
 
 def read_photo(path: Path) -> Pixels:
-    """Read a photo as a picture viewer shows it.
+    """Read a photo as an image viewer shows it.
 
     Applies the EXIF orientation, and converts 16 bits to 8, grey to colour, and transparency to a
     grey background.
@@ -70,10 +64,8 @@ def read_photo(path: Path) -> Pixels:
     Raises
     ------
     CaptureError
-        If the file is missing, truncated or no picture of whole numbers.
+        If the file is missing, truncated or no image of whole numbers.
     """
-    import cv2
-
     colour = _photo_levels(path, _decode(path, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH))
     opaque = path.suffix.lower() in {".jpg", ".jpeg"}
     raw = colour if opaque else _decode(path, cv2.IMREAD_UNCHANGED)
@@ -89,8 +81,6 @@ def read_photo(path: Path) -> Pixels:
 
 
 def _photo_levels(path: Path, image: Numbers) -> Pixels:
-    import cv2
-
     if image.dtype == np.uint8:
         return image
     if image.dtype == np.uint16:
@@ -101,12 +91,12 @@ def _photo_levels(path: Path, image: Numbers) -> Pixels:
 
 
 def read_masks(paths: Sequence[Path], shape: tuple[int, ...]) -> tuple[Mask, ...]:
-    """Read mask pictures, in which nonzero pixels belong to the fruit.
+    """Read mask images, in which nonzero pixels belong to the fruit.
 
     Parameters
     ----------
     paths : sequence of Path
-        Single-channel pictures.
+        Single-channel images.
     shape : tuple of int
         Their shape (H, W), which a `Capture` checks.
 
@@ -122,13 +112,11 @@ def read_masks(paths: Sequence[Path], shape: tuple[int, ...]) -> tuple[Mask, ...
             source=paths[0].parent,
             remedy="give fewer masks, or smaller pictures",
         )
-    import cv2
-
     return tuple(_decode(path, cv2.IMREAD_GRAYSCALE) > 0 for path in paths)
 
 
 def read_depth(path: Path) -> Numbers:
-    """Read the raw values of a depth picture: PNG, TIFF, PGM, CSV or `.npy`.
+    """Read the raw values of a depth image: PNG, TIFF, PGM, CSV or `.npy`.
 
     Returns
     -------
@@ -153,8 +141,6 @@ def read_depth(path: Path) -> Numbers:
             source=path,
             remedy="give a 16-bit PNG, a TIFF, a PGM, .csv or .npy",
         )
-    import cv2
-
     read_bytes(path)  # a missing file is named
     with suppress(cv2.error), _quiet_opencv():  # `_decode` names a damaged one
         pages = cv2.imcount(str(path))
@@ -170,8 +156,6 @@ def read_depth(path: Path) -> Numbers:
 @contextmanager
 def _quiet_opencv() -> Iterator[None]:
     """Keep OpenCV from printing its own messages for a broken file."""
-    import cv2
-
     level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
         yield
@@ -204,22 +188,15 @@ def read_array(path: Path) -> Numbers:
     data = read_bytes(path)
     remedy = "save the array as uint16 or float32 with numpy.save"
     with wrap_reader_errors(path, DepthError, remedy):
-        stream = io.BytesIO(data)
-        is_first = npy.read_magic(stream) == (1, 0)
-        read_head = npy.read_array_header_1_0 if is_first else npy.read_array_header_2_0
-        shape, is_by_columns, dtype = read_head(stream, max_header_size=4000)
-        if dtype.kind not in "biuf":
+        array: Numbers = np.load(io.BytesIO(data), allow_pickle=False, max_header_size=4000)
+        if array.dtype.kind not in "biuf":
             raise DepthError("holds no numbers", source=path, remedy=remedy)
-        # Unlike numpy.load it takes no memory for what the head promises and the file lacks.
-        flat = np.frombuffer(data, dtype, math.prod(shape), stream.tell())
-        return flat.reshape(shape, order="F" if is_by_columns else "C")
+        return array
 
 
 def _decode(path: Path, flags: int) -> Numbers:
-    import cv2
-
     data = read_bytes(path)
-    # OpenCV gives a truncated picture with its missing part grey, as if nothing were wrong.
+    # OpenCV gives a truncated image with its missing part grey, as if nothing were wrong.
     truncated = (data.startswith(_PNG) and not _whole_png(data)) or (
         data.startswith(_JPEG) and b"\xff\xd9" not in data[-1024:]
     )
@@ -251,35 +228,48 @@ def _whole_png(data: bytes) -> bool:
     return False
 
 
+def encoded(image: Numbers, suffix: str = ".png", quality: int = 95) -> bytes:
+    """Return the content of an image file.
+
+    Parameters
+    ----------
+    image : ndarray, shape (H, W) or (H, W, 3)
+        RGB, grey or 16-bit values.
+    suffix : str
+        '.png' or '.jpg'.
+    quality : int
+        Quality of a JPEG, up to 100.
+
+    Examples
+    --------
+    >>> encoded(np.zeros((4, 4, 3), np.uint8), ".jpg")[:3].hex()
+    'ffd8ff'
+    """
+    image = cv2.cvtColor(image, cv2.COLOR_RGB2BGR) if image.ndim == 3 else image
+    options = [cv2.IMWRITE_JPEG_QUALITY, quality] if suffix == ".jpg" else []
+    return cv2.imencode(suffix, image, options)[1].tobytes()
+
+
 def write_png(path: Path, image: Numbers) -> None:
-    """Write an RGB, grey or 16-bit picture.
+    """Write an RGB, grey or 16-bit image.
 
     Raises
     ------
     CaptureError
         If the file cannot be written.
     """
-    import cv2
-
-    if image.ndim == 3:
-        image = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
-    _, data = cv2.imencode(".png", image)
-    write_bytes(path, data.tobytes())
+    write_bytes(path, encoded(image))
 
 
 def write_jpeg(path: Path, color_rgb: Pixels, quality: int = 95) -> None:
-    """Write an RGB picture.
+    """Write an RGB image.
 
     Raises
     ------
     CaptureError
         If the file cannot be written.
     """
-    import cv2
-
-    bgr = np.ascontiguousarray(color_rgb[..., ::-1])
-    _, data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, quality])
-    write_bytes(path, data.tobytes())
+    write_bytes(path, encoded(color_rgb, ".jpg", quality))
 
 
 DEPTH_MIN_M, DEPTH_MAX_M = 0.1, 5.0
@@ -333,14 +323,12 @@ def enlarge_depth(depth_m: Array32, width: int, height: int) -> Array32:
     >>> enlarge_depth(np.array([[0.5, 0.75]], np.float32), 4, 1)
     array([[0.5 , 0.5 , 0.75, 0.75]], dtype=float32)
     """
-    import cv2
-
     size = (width, height)
     return np.asarray(cv2.resize(depth_m, size, interpolation=cv2.INTER_NEAREST_EXACT), np.float32)
 
 
 def depth_to_metres(raw: Numbers, unit_m: float | None = None, *, source: object = None) -> Array32:
-    """Convert the raw values of a depth picture to metres.
+    """Convert the raw values of a depth image to metres.
 
     Parameters
     ----------
@@ -359,7 +347,7 @@ def depth_to_metres(raw: Numbers, unit_m: float | None = None, *, source: object
     Raises
     ------
     DepthError
-        If the picture has colour channels or 8 bits, the unit is implausible while metres or
+        If the image has colour channels or 8 bits, the unit is implausible while metres or
         millimetres are plausible, or the numbers are shares of the largest.
 
     Examples

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Self
 
+import cv2
 import numpy as np
 
 from cucumbervision.arrays import Array32, Pixels
@@ -186,7 +187,7 @@ def apply_settings(rs: Any, device: Any, settings: CameraSettings, source: objec
 
 @dataclass(frozen=True, eq=False)
 class AlignedFrame:
-    """One colour picture with the depth aligned to it.
+    """One colour image with the depth aligned to it.
 
     Parameters
     ----------
@@ -429,7 +430,7 @@ class RealSenseCamera:
         )
 
     def read(self) -> AlignedFrame | None:
-        """Return the next frame with both pictures; None at the end of a recording.
+        """Return the next frame with both images; None at the end of a recording.
 
         Raises
         ------
@@ -447,7 +448,7 @@ class RealSenseCamera:
                     reached_s = self._playback.get_position() / 1e9
                     self._reached_s = max(self._reached_s, reached_s)
                 arrived, frames = self._pipeline.try_wait_for_frames(_STEP_MS)
-                # The first frame sets may contain only one picture.
+                # The first frame sets may contain only one image.
                 if arrived and frames.get_color_frame() and frames.get_depth_frame():
                     return self._convert(frames)
                 if not arrived and self._is_over():
@@ -522,7 +523,7 @@ class RealSenseCamera:
         aligned = self._align.process(frames)
         color, depth = aligned.get_color_frame(), aligned.get_depth_frame()
         raw = np.asanyarray(depth.get_data())
-        # An accelerometer at rest reads the push against gravity, along the axes of the pictures.
+        # An accelerometer at rest reads the push against gravity, along the axes of the images.
         accelerometer = frames.first_or_default(self._rs.stream.accel)
         push = accelerometer and accelerometer.as_motion_frame().get_motion_data()
         # Hardware clocks start with the camera.
@@ -536,8 +537,6 @@ class RealSenseCamera:
         )
 
     def _rgb(self, frame: Any) -> Pixels:
-        import cv2
-
         name = str(frame.get_profile().format()).removeprefix("format.")
         data = np.asanyarray(frame.get_data())
         if name == "rgb8":

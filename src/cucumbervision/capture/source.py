@@ -6,27 +6,23 @@ import hashlib
 import re
 from bisect import bisect_left
 from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any, Self, TypeAlias
 from unicodedata import category, normalize
 
+from cucumbervision.capture.camera_file import CameraFile
+from cucumbervision.capture.frames import Capture
+from cucumbervision.capture.intrinsics import DepthAlong, Stream
+from cucumbervision.errors import CaptureError
 from cucumbervision.files import as_path
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
-    from typing import TypeAlias
-
-    from cucumbervision.capture.camera_file import CameraFile
-    from cucumbervision.capture.frames import Capture
-    from cucumbervision.capture.intrinsics import DepthAlong, Stream
-    from cucumbervision.errors import CaptureError
-
-    CaptureEntry: TypeAlias = tuple[
-        str, int, Callable[[str], Capture], Path, Callable[[], Iterable[Path | bytes]] | None
-    ]
-    CaptureLister: TypeAlias = Callable[["ReadOptions", CameraFile | None], Iterable[CaptureEntry]]
+CaptureEntry: TypeAlias = tuple[
+    str, int, Callable[[str], Capture], Path, Callable[[], Iterable[Path | bytes]] | None
+]
+CaptureLister: TypeAlias = Callable[["ReadOptions", CameraFile | None], Iterable[CaptureEntry]]
 
 
 @dataclass(frozen=True)
@@ -39,7 +35,7 @@ class ReadOptions:
         Intrinsics file that replaces the intrinsics of the source if it passes the check; required
         if the source has none.
     depth : Path, optional
-        Depth picture, for a pair given as two files.
+        Depth image, for a pair given as two files.
     depth_unit_m : float, optional
         Metres per depth step; by default that of the source, otherwise 0.001 for integers and 1 for
         floats.
@@ -47,7 +43,7 @@ class ReadOptions:
         Whether depth is along the optical axis, or along each pixel's ray; by default as the
         camera file states, otherwise along the axis.
     aligned_to : Stream, optional
-        The camera whose pixels both pictures have: 'depth' for colour that was aligned to depth;
+        The camera whose pixels both images have: 'depth' for colour that was aligned to depth;
         'color' for depth that may have fewer pixels than colour, over the same field of view. By
         default as the camera file states, otherwise depth aligned to colour at its size.
     burst : int
@@ -176,6 +172,8 @@ class CaptureRef:
     parts : callable, optional
         Lists the files and bytes of the capture, for hashing without decoding; None if unknown
         without loading.
+    input : str
+        The input of a run that contains it, as the user gave it.
     """
 
     name: str
@@ -183,6 +181,18 @@ class CaptureRef:
     load: Callable[[], Capture] = field(repr=False)
     location: str = ""
     parts: Callable[[], Iterable[Path | bytes]] | None = field(default=None, repr=False)
+    input: str = ""
+
+    @classmethod
+    def of(cls, capture: Capture, **further_fields: Any) -> Self:
+        """Return a capture that is in memory."""
+        load, given = partial(_itself, capture), capture.source or capture.name
+        number, source = capture.frame or 0, capture.source
+        return cls(capture.name, number, load, source, input=given, **further_fields)
+
+
+def _itself(capture: Capture) -> Capture:
+    return capture
 
 
 @dataclass(frozen=True)
@@ -200,7 +210,7 @@ class CaptureSource:
     total : int, optional
         Number of captures, for a progress bar; None if unknown without reading.
     unused : tuple of str
-        Pictures that are colour or depth by their names and belong to no capture.
+        Images that are colour or depth by their names and belong to no capture.
 
     Examples
     --------

@@ -15,14 +15,9 @@ from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import IO, Any, BinaryIO
 
+from cucumbervision.capture import readers
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.pictures import COLOR_SUFFIXES, DEPTH_SUFFIXES
-from cucumbervision.capture.readers import (
-    RECORDING_SUFFIXES,
-    find_captures,
-    list_folder,
-    open_source,
-)
 from cucumbervision.capture.source import CaptureRef, CaptureSource, ReadOptions, no_device
 from cucumbervision.errors import (
     CaptureError,
@@ -124,7 +119,7 @@ class AcceptedSource:
             See `open_source`.
         """
         with self._sender_names():
-            source = open_source(self.path, options)
+            source = readers.open_source(self.path, options)
 
         def refs() -> Iterator[CaptureRef]:
             for ref in source:
@@ -284,18 +279,18 @@ class AcceptedUploads:
 
     def sort(self, path: Path, title: str) -> None:
         """Find the captures of a folder, and report the files that belong to none."""
-        folder, source = list_folder(path), AcceptedSource(path, title)
+        folder, source = readers.list_folder(path), AcceptedSource(path, title)
         kinds, everything, refused = folder.kinds(), {*folder}, len(self.refused)
-        if is_used := bool(find_captures(folder)):
+        if is_used := bool(readers.find_captures(folder)):
             self.sources.append(source)
         unread = sorted(folder)
         used = {PurePosixPath(name).parent for name in everything.difference(unread)}
         for name in map(PurePosixPath, unread):
             suffix, shown_name = name.suffix.lower(), source.sender_name(path / name)
-            # A picture beside captures of a zip may be anything; one without them lacks a partner.
+            # An image beside captures of a zip may be anything; one without them lacks a partner.
             is_lone = suffix in _PICTURES and used.isdisjoint(name.parents)
             is_unknown = title == LOOSE and suffix not in _TEXTS | {".csv"}
-            if suffix in RECORDING_SUFFIXES or is_lone or is_unknown:
+            if suffix in readers.RECORDING_SUFFIXES or is_lone or is_unknown:
                 self.refused.append(_left_alone(shown_name, suffix))
             else:
                 self.ignored.append(shown_name)
@@ -394,7 +389,7 @@ def _left_alone(file_title: str, suffix: str) -> CaptureError:
         return CaptureError(fault, source=file_title, remedy=remedy)
     fault = "is not a file type we can read"
     remedy = "send PNG, JPEG or TIFF pictures, .npy, JSON, or a zip of them"
-    if suffix in RECORDING_SUFFIXES:
+    if suffix in readers.RECORDING_SUFFIXES:
         fault = "is a recording, which is only read on the computer where it lies"
         remedy = (
             "copy it to the computer that measures: `cucumbervision round add FILE` there adds "

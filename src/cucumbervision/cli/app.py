@@ -24,7 +24,7 @@ _COMMANDS = "cucumbervision.commands"
 
 app = typer.Typer(
     name="cucumbervision",
-    help="Measure greenhouse cucumbers without touching them, from RGB-D pictures.",
+    help="Measure greenhouse cucumbers without touching them, from RGB-D images.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,

@@ -127,34 +127,24 @@ def measure_options(
     ] = None,
 ) -> MeasureOptions:
     """Return the measuring options of a command."""
+    arguments: dict[str, Any] = locals()
     from cucumbervision.capture.source import ReadOptions
     from cucumbervision.crop.profiles import PACK_PROFILE, load_profile, profile_path
-    from cucumbervision.methods.result import LengthDefinition, Selector
     from cucumbervision.networks.yolo import parse_input_sizes
-    from cucumbervision.run.options import MeasureOptions
+    from cucumbervision.run.options import MeasureOptions, read_pack
 
-    options = MeasureOptions(
-        instances=instances,
-        classes=classes,
-        pose=pose,
-        segmenter=segmenter,
-        methods=methods or "all",
-        selector=Selector(selector),
-        length=LengthDefinition(length),
-        confidence=confidence,
-        input_sizes=parse_input_sizes(input_size),
-        runtime=_FAST.get(runtime, runtime),
-        full_precision=runtime not in _FAST,
-        reading=ReadOptions(intrinsics, depth, depth_unit, burst, depth_along, aligned_to),
-        calibration=calibration,
-        camera_up=camera_up,
-    )
-    path = profile_path(profile)
-    if path.name != PACK_PROFILE:
-        return options.for_crop(load_profile(path))
-    from cucumbervision.run.options import read_pack
-
-    return read_pack(path.parent).options(options)
+    named = {name: arguments[name] for name in {*vars(MeasureOptions)} & arguments.keys()}
+    named |= {
+        "methods": methods or "all",
+        "input_sizes": parse_input_sizes(input_size),
+        "runtime": _FAST.get(runtime, runtime),
+        "full_precision": runtime not in _FAST,
+        "reading": ReadOptions(intrinsics, depth, depth_unit, burst, depth_along, aligned_to),
+    }
+    options, path = MeasureOptions(**named), profile_path(profile)
+    if path.name == PACK_PROFILE:
+        return read_pack(path.parent).options(options)
+    return options.for_crop(load_profile(path))
 
 
 def loop_options(

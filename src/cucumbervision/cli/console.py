@@ -4,36 +4,30 @@ from __future__ import annotations
 
 import signal
 import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from itertools import islice
+from pathlib import Path
 from statistics import fmean
 from textwrap import shorten
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rich.console import Console
 from rich.progress import MofNCompleteColumn, Progress
 from rich.table import Table
 
+from cucumbervision.accuracy import statistics
 from cucumbervision.crop.grades import GradingTraits, grade
-from cucumbervision.crop.profiles import load_profile
+from cucumbervision.crop.profiles import CropProfile, load_profile
 from cucumbervision.fruit.instance import MaskSource
 from cucumbervision.methods.flags import flag_remarks, is_lower_bound
 from cucumbervision.methods.result import LengthDefinition
 from cucumbervision.run.batch import count_captures
-from cucumbervision.run.detect import detect_inputs
-from cucumbervision.run.whole_run import measure_inputs
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-    from pathlib import Path
-
-    from cucumbervision.accuracy import statistics
-    from cucumbervision.crop.profiles import CropProfile
-    from cucumbervision.run.detect import DetectResult
-    from cucumbervision.run.measurer import Failure
-    from cucumbervision.run.options import MeasureOptions
-    from cucumbervision.run.whole_run import BatchOptions, RunResult
+from cucumbervision.run.detect import DetectResult, detect_inputs
+from cucumbervision.run.measurer import Failure
+from cucumbervision.run.options import MeasureOptions
+from cucumbervision.run.whole_run import BatchOptions, RunResult, measure_inputs
 
 _MOST_ROWS = 40
 _WIDTH = 120
@@ -116,7 +110,7 @@ def measure_and_show(
     Progress, notes and failures go to the standard error, results to the standard output.
     """
     errors = plain_console(stderr=True, quiet=quiet)
-    total = count_captures(inputs, options.reading, batch.opener) if errors.is_terminal else None
+    total = count_captures(inputs, options.reading) if errors.is_terminal else None
     with progress_bar(errors) as bar, stopping_gently() as is_cancelled:
         task = bar.add_task("measuring", total=total)
         batch = replace(batch, is_cancelled=is_cancelled)
@@ -129,7 +123,7 @@ def measure_and_show(
         console.print(
             _results_table(result, options.length, load_profile(profile), by_method=by_method)
         )
-        console.print(f"{_closing_line(result)}\nTables and pictures are in {out}/", soft_wrap=True)
+        console.print(f"{_closing_line(result)}\nTables and images are in {out}/", soft_wrap=True)
     show_failures(result.failures, result.out)
     if result.interrupted:
         errors.print("interrupted; rerun the command to resume", soft_wrap=True)
@@ -254,7 +248,7 @@ def summary_table(result: DetectResult) -> Table:
     table.add_row("fruit", str(len(scores)))
     table.add_row("mean score", f"{fmean(scores):.2f}" if scores else "")
     if result.skipped:
-        table.add_row("no pictures, skipped", str(result.skipped))
+        table.add_row("no images, skipped", str(result.skipped))
     networks = ", ".join(f"{m['name']} on {m['runtime']}" for m in result.models)
     table.add_row("networks", networks)
     return table

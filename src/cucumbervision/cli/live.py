@@ -11,15 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, TypeVar
 
 import typer
 
-from cucumbervision.cli.choices import (
-    OF_CAMERA_FILE,
-    Burst,
-    ListenOn,
-    Port,
-    Quiet,
-    measure_options,
-    takes,
-)
+from cucumbervision.cli import choices
 from cucumbervision.errors import CameraError, CucumberVisionError, MissingExtraError
 
 if TYPE_CHECKING:
@@ -141,7 +133,7 @@ Retries = Annotated[int, typer.Option(min=0, help="Attempts to reconnect to a lo
 Preset: TypeAlias = Literal["default", "hand", "high-accuracy", "high-density", "medium-density"]
 
 
-@takes("options", measure_options, {"depth", "burst"} | OF_CAMERA_FILE)
+@choices.takes("options", choices.measure_options, {"depth", "burst"} | choices.OF_CAMERA_FILE)
 def stream(
     source: Annotated[
         str,
@@ -168,7 +160,7 @@ def stream(
     frames: Annotated[
         int | None, typer.Option(min=1, help="Number of frames.", show_default=False)
     ] = None,
-    quiet: Quiet = False,
+    quiet: choices.Quiet = False,
     *,
     options: MeasureOptions,
 ) -> None:
@@ -210,7 +202,7 @@ def record(
     count: Annotated[
         int | None, typer.Option(min=1, help="Number of captures.", show_default=False)
     ] = None,
-    burst: Burst = 5,
+    burst: choices.Burst = 5,
     row: Annotated[str | None, typer.Option(help="Row in the house.")] = None,
     side: Annotated[str | None, typer.Option(help="Side of the row: left or right.")] = None,
     position: Annotated[
@@ -226,7 +218,7 @@ def record(
         typer.Option(min=1, help="Colour exposure in microseconds; default: automatic."),
     ] = None,
     retries: Retries = 3,
-    quiet: Quiet = False,
+    quiet: choices.Quiet = False,
 ) -> None:
     """Save captures of a live camera: one for each Enter, or at fixed intervals.
 
@@ -269,10 +261,10 @@ def cameras() -> None:
     screen().print(table)
 
 
-@takes("options", measure_options, {"depth"} | OF_CAMERA_FILE)
+@choices.takes("options", choices.measure_options, {"depth"} | choices.OF_CAMERA_FILE)
 def serve(
-    address: ListenOn = "127.0.0.1",
-    port: Port = 8600,
+    address: choices.ListenOn = "127.0.0.1",
+    port: choices.Port = 8600,
     most_mb: Annotated[
         int, typer.Option("--max-mb", min=1, help="Maximum size of a request, megabytes.")
     ] = 200,

@@ -27,11 +27,7 @@ Inputs = Annotated[
 Out = Annotated[
     Path,
     typer.Option(
-        "--out",
-        "-o",
-        metavar="PLACE",
-        parser=as_path,
-        help="Folder or URL for tables and pictures.",
+        "--out", "-o", metavar="PLACE", parser=as_path, help="Folder or URL for tables and images."
     ),
 ]
 
@@ -46,7 +42,7 @@ def measure(
     ] = False,
     overlays: Annotated[
         Literal["png", "jpg", "none"],
-        typer.Option(help="Kind of the annotated pictures; jpg takes a tenth of png's time."),
+        typer.Option(help="Kind of the annotated images; jpg takes a tenth of png's time."),
     ] = "png",
     quiet: Quiet = False,
     *,
@@ -71,9 +67,9 @@ def measure(
 
 
 def demo(
-    out: Annotated[
-        Path, typer.Option("--out", "-o", help="Folder for tables and pictures.")
-    ] = Path("cucumbervision-demo"),
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for tables and images.")] = Path(
+        "cucumbervision-demo"
+    ),
     quiet: Quiet = False,
 ) -> None:
     """Measure the bundled simulated captures, found by the package's own networks."""
@@ -98,10 +94,10 @@ def detect(
     inputs: Annotated[
         list[str],
         typer.Argument(
-            metavar="IMAGE...", help="Pictures (JPEG, PNG, WebP, TIFF, BMP), or folders of them."
+            metavar="IMAGE...", help="Images (JPEG, PNG, WebP, TIFF, BMP), or folders of them."
         ),
     ],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for results and pictures.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for results and images.")],
     quiet: Quiet = False,
     *,
     options: MeasureOptions,

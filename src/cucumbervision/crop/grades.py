@@ -7,30 +7,19 @@ fruit that continues out of sight only a lower bound is known; it is never too s
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from cucumbervision.arrays import Array
+from cucumbervision.crop.profiles import CropProfile
 from cucumbervision.errors import Message, joined, with_reason
+from cucumbervision.methods import result
 from cucumbervision.methods.flags import is_length_unknown, is_lower_bound
-from cucumbervision.methods.result import (
-    INTERVAL_Z,
-    UNKNOWN_SD,
-    Length,
-    LengthDefinition,
-    LengthKind,
-)
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-
-    from numpy.typing import ArrayLike
-
-    from cucumbervision.arrays import Array
-    from cucumbervision.crop.profiles import CropProfile
-
 
 UNDECIDED = "undecided"
 """What a fruit is called whose interval spans several classes."""
@@ -116,7 +105,7 @@ def choice_words(names: Iterable[str]) -> str:
     return joined(words, "{first} or {second}")
 
 
-def share_below(length: Length, limit_m: ArrayLike) -> Array:
+def share_below(length: result.Length, limit_m: ArrayLike) -> Array:
     """Return the probability that a length with an interval is below each limit in metres, float64.
 
     The intervals are conformal, with a miss rate of 5 % on each side. Their ends and the median
@@ -173,7 +162,7 @@ class GradingTraits:
     thread_m: float | None = None
     centreline_m: float | None = None
     chord_m: float | None = None
-    length: Length | None = None
+    length: result.Length | None = None
     inner_arc_mm_per_10cm: float | None = None
     diameter_max_m: float | None = None
     volume_m3: float | None = None
@@ -195,12 +184,14 @@ class GradingTraits:
         >>> traits.thread_m, traits.volume_m3
         (0.235, None)
         """
-        kinds: dict[str, Any] = {str(kind): kind for kind in (*LengthKind, *LengthDefinition)}
+        kinds: dict[str, Any] = {
+            str(kind): kind for kind in (*result.LengthKind, *result.LengthDefinition)
+        }
         kind, interval_of = (kinds.get(str(row.get(x))) for x in ("length_kind", "interval_of"))
         length = None
         if (value_m := _number(row, "length_cm", 100)) is not None and kind is not None:
             low_m, high_m = (_number(row, f"interval_{end}_cm", 100) for end in ("low", "high"))
-            length = Length(value_m, kind, low_m, high_m, interval_of)
+            length = result.Length(value_m, kind, low_m, high_m, interval_of)
         return cls(
             thread_m=_number(row, "thread_cm", 100),
             centreline_m=_number(row, "centreline_cm", 100),
@@ -213,13 +204,13 @@ class GradingTraits:
         )
 
 
-def _length(fruit: Any, kind: LengthDefinition) -> Length | None:
+def _length(fruit: Any, kind: result.LengthDefinition) -> result.Length | None:
     """Return a fruit's length of one kind, with its interval if that is of the same kind."""
-    measured: Length | None = fruit.length
+    measured: result.Length | None = fruit.length
     is_of_kind = measured is not None and measured.kind == kind
     value_m = measured.value_m if measured and is_of_kind else getattr(fruit, f"{kind}_m")
     if measured is None or measured.interval_of != kind:
-        return Length(value_m, kind) if value_m else None
+        return result.Length(value_m, kind) if value_m else None
     return replace(measured, value_m=value_m, kind=kind) if value_m else None
 
 
@@ -386,13 +377,13 @@ def _refusal(length_cm: float, profile: CropProfile) -> Message:
     )
 
 
-def _range_m(fruit: Any, length: Length) -> tuple[float, float]:
+def _range_m(fruit: Any, length: result.Length) -> tuple[float, float]:
     """Return the range of a fruit's length: its interval, or from a lower bound to infinity.
 
     Nothing is known of a length whose interval is too wide, or whose depth cannot be its distance.
     A length that was measured by a method and has no interval is as uncertain as in forecasts.
     """
-    measured: Length | None = fruit.length
+    measured: result.Length | None = fruit.length
     if fruit.at_least:
         return length.value_m, math.inf
     if is_length_unknown(fruit.flags.split()):
@@ -400,7 +391,7 @@ def _range_m(fruit: Any, length: Length) -> tuple[float, float]:
     if measured is None:
         return length.value_m, length.value_m
     if measured.low_m is None or measured.high_m is None or measured.interval_of != measured.kind:
-        spread = math.exp(INTERVAL_Z * UNKNOWN_SD)
+        spread = math.exp(result.INTERVAL_Z * result.UNKNOWN_SD)
         return length.value_m / spread, length.value_m * spread
     # The three lengths of a tube have the same relative error.
     share = length.value_m / measured.value_m
@@ -468,7 +459,7 @@ def _classes_of_bins(profile: CropProfile, checks: tuple[_Check, ...]) -> list[s
     return classes
 
 
-def _chances(length: Length, profile: CropProfile, by_bin: list[str]) -> dict[str, float]:
+def _chances(length: result.Length, profile: CropProfile, by_bin: list[str]) -> dict[str, float]:
     if length.sides is None:
         return {}
     below = np.concatenate([[0.0], share_below(length, profile.edges_m), [1.0]])

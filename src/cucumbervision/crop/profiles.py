@@ -7,17 +7,15 @@ import tomllib
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from cucumbervision.arrays import Array
 from cucumbervision.errors import ProfileError
 from cucumbervision.files import parse_model, read_bytes
 from cucumbervision.methods.result import LengthDefinition
-
-if TYPE_CHECKING:
-    from cucumbervision.arrays import Array
 
 _TOO_SHORT, TOO_LONG = "too short", "too long"  # out of grade, and on which side
 

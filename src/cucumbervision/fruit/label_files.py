@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import re
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path, PurePosixPath
@@ -184,8 +184,7 @@ class InstanceFile:
         Returns
         -------
         instances : tuple of Instance
-            In the file's order; empty where the file does not name the image (`coverage` lists
-            those). Boxes lie within the image.
+            In the file's order, clipped to the image; empty where the file does not name it.
         refused : tuple of InstancesError
             With the place of each entry in the file.
 
@@ -235,31 +234,6 @@ class InstanceFile:
         """Number of regions of several fruit, which are left out."""
         records = (record for picture in self.pictures for record in picture.records)
         return sum(isinstance(record, LabelledInstance) and record.is_crowd for record in records)
-
-    def coverage(
-        self, captures: Iterable[tuple[Sequence[str], int | None]]
-    ) -> tuple[list[str], list[str]]:
-        """Return the captures without a picture in the file, and its pictures without a capture.
-
-        Parameters
-        ----------
-        captures : iterable of (sequence of str, int or None)
-            Names and number of each capture, as for `for_capture`.
-
-        Returns
-        -------
-        missing, unused : list of str
-            Names of captures, and of pictures of the file.
-        """
-        missing, used = [], set[int]()
-        for names, frame in captures:
-            picture = self.find(names, frame)
-            if picture is None:
-                missing.append(next((n for n in names if n), str(frame)))
-            used.add(id(picture))
-        return missing, [
-            p.name or f"image id {p.number}" for p in self.pictures if id(p) not in used
-        ]
 
     def find(self, names: Sequence[str], frame: int | None) -> LabelledImage | None:
         """Return the entries for a capture, as for `for_capture`; None if there are none."""

@@ -101,7 +101,7 @@ LEAST_AGREEMENT = 0.6
 _RAISING, _LOWERING = 0.4, 0.8
 """Of the network's log-odds beside the detector's, both of which saw much the same images."""
 
-_FARTHER_PX = 4.0  # of the picture: half a pixel of a detector's mask
+_FARTHER_PX = 4.0  # of the image: half a pixel of a detector's mask
 _EVEN = 1.0
 """The network's log-odds that change no confidence: few of its crops show no fruit."""
 
@@ -487,21 +487,16 @@ class Detectors:
             Best first, with masks and keypoints.
         """
         detector, pose = self.detector, self.pose
-        looks, least_confidence = None, None
+        looks = None
         if self.fruit is not None:
             looks = PictureLooks(self.fruit, color_rgb, depth_m, focal_px, self.quick)
-        if looks is not None and not self.quick:
-            least_confidence = min(CANDIDATE_CONFIDENCE, detector.confidence)
-        detections = detector.detect(color_rgb, least_confidence)
+        is_strict = looks is None or self.quick
+        floor = None if is_strict else min(CANDIDATE_CONFIDENCE, detector.confidence)
+        detections = detector.detect(color_rgb, floor)
         posed = pose.detect(color_rgb) if pose is not None and detections else None
-        fruit = each_fruit_once(
-            detections,
-            posed,
-            depth_m,
-            confidence=self.confidence,
-            looks=detector.looks,
-            look=None if looks is None else looks.rescore,
-        )
+        look = None if looks is None else looks.rescore
+        sure, votes = self.confidence, detector.looks
+        fruit = each_fruit_once(detections, posed, depth_m, confidence=sure, looks=votes, look=look)
         return fruit if looks is None else looks.refine(fruit)
 
 
@@ -581,14 +576,12 @@ def with_pose_votes(
     free = list(posed)
     voted = []
     for detection in sorted(detected, key=lambda detection: -detection.confidence):
-        ious = box_ious(detection.box[None], np.array([pose.box for pose in free]).reshape(-1, 4))[
-            0
-        ]
+        boxes = np.array([pose.box for pose in free]).reshape(-1, 4)
+        ious = box_ious(detection.box[None], boxes)[0]
         agrees = ious.size > 0 and ious.max() > SAME_IOU
         vote = free.pop(int(ious.argmax())).confidence if agrees else 0.0
-        voted.append(
-            replace(detection, confidence=(looks * detection.confidence + vote) / (looks + 1))
-        )
+        mean = (looks * detection.confidence + vote) / (looks + 1)
+        voted.append(replace(detection, confidence=mean))
     return tuple(sorted(voted, key=lambda detection: -detection.confidence))
 
 
@@ -755,10 +748,8 @@ class NetworkLoader:
             most_fruit=self.most_fruit,
             input_sizes=self.input_sizes,
         )
-        if isinstance(chosen, str):
-            self._note(chosen, network.task, self.registry.hashes(chosen)["network"], network)
-        else:
-            self._note(path.name, network.task, file_sha256(path), network)
+        name = chosen if isinstance(chosen, str) else path.name
+        self._note(name, network.task, file_sha256(path), network)
         self._orders_ends = self._orders_ends or network.by_place
         return network
 

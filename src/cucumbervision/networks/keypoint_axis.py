@@ -8,23 +8,19 @@ spaced evenly along the axis.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
+from numpy.typing import ArrayLike
 
+from cucumbervision.arrays import Array, Mask
+from cucumbervision.fruit.instance import Instance
 from cucumbervision.fruit.masks import distances_inside, mask_pixels, mask_window
 from cucumbervision.tube.shape import arc_positions, points_along
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
-
-    from numpy.typing import ArrayLike
-
-    from cucumbervision.arrays import Array, Mask
-    from cucumbervision.fruit.instance import Instance
-
-    _Axis = tuple[Array, Array, Array, Callable[[Array], Array]]
+_Axis = tuple[Array, Array, Array, Callable[[Array], Array]]
 
 _LEAST_PIXELS = 80
 _LEAST_SLIMNESS = 1.7  # a rounder outline has no reliable axis
@@ -102,8 +98,6 @@ def body_without_stalk(mask: Mask) -> Mask | None:
     ndarray of bool, shape (H, W), or None
         The largest part after opening with a disc; None for an empty mask.
     """
-    import cv2
-
     window = mask_window(mask, 2)
     if window is None:
         return None

@@ -150,7 +150,7 @@ class Registry:
 
     @property
     def looks_closely(self) -> bool:
-        """Whether a network looks at each fruit alone, instead of a pose network at the picture.
+        """Whether a network looks at each fruit alone, instead of a pose network at the image.
 
         A pose network of the user's own is not replaced.
         """
@@ -274,7 +274,7 @@ def _read_own(path: Path) -> tuple[Model, ...]:
 
 
 JUDGEMENT = "judgement.json"
-"""Written by `train house`: old and new network evaluated on the same pictures."""
+"""Written by `train house`: old and new network evaluated on the same images."""
 
 _LONGEST_NAME = 200
 

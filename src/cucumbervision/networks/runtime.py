@@ -15,20 +15,17 @@ import logging
 import os
 import sys
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import cv2
 import numpy as np
 
+from cucumbervision.arrays import Array32, Numbers, Pixels
 from cucumbervision.errors import MissingExtraError, ModelError, OutOfMemoryError, named_error
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from cucumbervision.arrays import Array32, Numbers, Pixels
 
 CARD_RUNTIMES = ("cuda", "tensorrt")
 RUNTIMES = ("auto", "onnxruntime", "openvino", *CARD_RUNTIMES)
@@ -226,7 +223,7 @@ def input_planes(
     scale: Sequence[float] = (255.0,),
     size_px: tuple[int, int] | None = None,
 ) -> Array32:
-    """Return pictures as an input that takes (level - mean) / scale by planes.
+    """Return images as an input that takes (level - mean) / scale by planes.
 
     Parameters
     ----------
@@ -246,8 +243,6 @@ def input_planes(
     >>> input_planes(np.full((1, 2, 2, 3), 51, np.uint8))[0, :, 0, 0].tolist()
     [0.20000000298023224, 0.20000000298023224, 0.20000000298023224]
     """
-    import cv2
-
     count, rows, columns, channels = pixels.shape
     planes = np.zeros((count, channels, *(size_px or (rows, columns))), np.float32)
     means, scales = (
@@ -263,7 +258,7 @@ def input_planes(
 
 
 def runtime_for_batches(runtime: str) -> str:
-    """Return the runtime of a network whose batches differ in size from picture to picture.
+    """Return the runtime of a network whose batches differ in size from image to image.
 
     TensorRT would compile for minutes at each new size, so CUDA runs it. On a processor ONNX
     Runtime is the fastest for small networks.

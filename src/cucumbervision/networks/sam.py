@@ -10,36 +10,24 @@ from __future__ import annotations
 
 import hashlib
 from collections import OrderedDict
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
+from cucumbervision.arrays import Array, Array32, Mask, Pixels
 from cucumbervision.errors import ModelError
+from cucumbervision.fruit import masks as mask_tools
 from cucumbervision.fruit.instance import Instance, MaskSource
-from cucumbervision.fruit.masks import (
-    box_iou,
-    box_of_mask,
-    disjoint_masks,
-    mask_iou,
-    mask_ious,
-    mask_window,
-    share_inside,
-)
 from cucumbervision.networks.runtime import input_planes, open_network, runtime_for_batches
 from cucumbervision.tube.compiled import OneThread
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-    from scipy.sparse import csr_array
-
-    from cucumbervision.arrays import Array, Array32, Mask, Pixels
-
-    _Answer = tuple[Array32, Array32]
+_Answer = tuple[Array32, Array32]
 
 PROMPTS = ("box", "box+point", "point")
 """Prompts for a detection: its box, its centre, or both."""
@@ -196,7 +184,7 @@ class Sam:
         return answered
 
     def _encode(self, color_rgb: Pixels) -> Array32:
-        """Return the picture's embedding; the last ones are held."""
+        """Return the image's embedding; the last ones are held."""
         # Compare contents, since a camera may reuse the array for the next image.
         digest = hashlib.blake2b(np.ascontiguousarray(color_rgb).data).digest()
         picture = (color_rgb.shape, digest)
@@ -225,7 +213,7 @@ def scaled_size(height: int, width: int) -> tuple[int, int]:
 
 
 def rows_needed(height: int, width: int) -> int:
-    """Return how many of the square's 1024 rows a picture covers, rounded up to patches of 16.
+    """Return how many of the square's 1024 rows an image covers, rounded up to patches of 16.
 
     The rest is padding, which an encoder with free height can omit.
 
@@ -268,8 +256,6 @@ def _scaled_planes(color_rgb: Pixels, height: int, width: int) -> list[Array32]:
 
     Resized as Pillow does, which SAM was trained with: bilinear, and smoothing when it shrinks.
     """
-    import cv2
-
     before_height, before_width = color_rgb.shape[:2]
     picture = np.ascontiguousarray(color_rgb)
     if max(before_height, before_width) <= _SIDE:
@@ -283,7 +269,7 @@ def _scaled_planes(color_rgb: Pixels, height: int, width: int) -> list[Array32]:
 
 
 @lru_cache(maxsize=8)
-def _shrinking(size_in: int, size_out: int) -> csr_array[Any, tuple[int, int]]:
+def _shrinking(size_in: int, size_out: int) -> Any:
     """Return the weights (size_out, size_in): each row a triangle as wide as two output pixels."""
     from scipy.sparse import csr_array
 
@@ -306,7 +292,7 @@ def _shrinking(size_in: int, size_out: int) -> csr_array[Any, tuple[int, int]]:
 def points_to_sam(points_px: Array, height: int, width: int) -> Array32:
     """Map points of the image to the decoder's pixels.
 
-    The picture's edges run from -0.5 to W - 0.5 and are scaled onto 0 to the scaled width; the
+    The image's edges run from -0.5 to W - 0.5 and are scaled onto 0 to the scaled width; the
     decoder counts pixel centres too and adds half a pixel itself.
 
     Parameters
@@ -314,7 +300,7 @@ def points_to_sam(points_px: Array, height: int, width: int) -> Array32:
     points_px : ndarray of float64, shape (..., 2)
         u, v with (0, 0) the centre of the upper left pixel.
     height, width : int
-        The picture's size.
+        The image's size.
 
     Returns
     -------
@@ -333,16 +319,16 @@ def points_to_sam(points_px: Array, height: int, width: int) -> Array32:
 
 
 def mask_from_logits(logits: Array32, height: int, width: int) -> Mask:
-    """Enlarge one low-resolution mask to the picture and threshold it at zero.
+    """Enlarge one low-resolution mask to the image and threshold it at zero.
 
-    In SAM's own two bilinear steps: to 1024, and without the padding to the picture's size.
+    In SAM's own two bilinear steps: to 1024, and without the padding to the image's size.
 
     Parameters
     ----------
     logits : ndarray of float32, shape (256, 256) or fewer rows
         One mask of the decoder; missing rows are padding.
     height, width : int
-        The picture's size.
+        The image's size.
 
     Returns
     -------
@@ -355,9 +341,7 @@ def mask_from_logits(logits: Array32, height: int, width: int) -> Mask:
     >>> mask_from_logits(logits, 1024, 1024).sum(axis=1).tolist()[:2]
     [256, 256]
     """
-    import cv2
-
-    # The picture's lowest rows interpolate with the first padding row.
+    # The image's lowest rows interpolate with the first padding row.
     square = np.pad(logits, ((0, _LOW - len(logits)), (0, 0)), mode="edge")
     rows, columns = scaled_size(height, width)
     fine = cv2.resize(square, (_SIDE, _SIDE), interpolation=cv2.INTER_LINEAR)[:rows, :columns]
@@ -366,7 +350,7 @@ def mask_from_logits(logits: Array32, height: int, width: int) -> Mask:
 
 
 def mask_to_sam(mask: Mask, shape: tuple[int, ...]) -> Mask:
-    """Shrink a mask of the picture to the decoder's pixels.
+    """Shrink a mask of the image to the decoder's pixels.
 
     Parameters
     ----------
@@ -388,8 +372,6 @@ def mask_to_sam(mask: Mask, shape: tuple[int, ...]) -> Mask:
     >>> small.sum(), small[71, 127], small[72, 127]
     (np.int64(9216), np.True_, np.False_)
     """
-    import cv2
-
     scaled_height, scaled_width = scaled_size(*mask.shape)
     rows, columns = (max(round(n * _LOW / _SIDE), 1) for n in (scaled_height, scaled_width))
     part = cv2.resize(mask.astype(np.float32), (columns, rows), interpolation=cv2.INTER_AREA)
@@ -428,19 +410,20 @@ def _fault(mask: Mask, detector_mask: Mask | None, box: Array | None = None) -> 
     area = np.count_nonzero(mask)
     if area < _MIN_MASK_PX:
         return "mask-small" if area else "mask-empty"
-    own_box, along = box_of_mask(mask), False
+    own_box, along = mask_tools.box_of_mask(mask), False
     if detector_mask is not None and detector_mask.any():
         # It may run along all of the detector's mask, inside it.
         inside = np.count_nonzero(mask & detector_mask) >= _MIN_INSIDE * area
         spans = [
-            np.ptp(b.reshape(2, 2), axis=0).max() for b in (own_box, box_of_mask(detector_mask))
+            np.ptp(b.reshape(2, 2), axis=0).max()
+            for b in (own_box, mask_tools.box_of_mask(detector_mask))
         ]
         along = bool(inside and spans[0] >= _MIN_SPAN * spans[1])
-        agrees = along or mask_iou(detector_mask, mask) >= _MIN_AGREEMENT
+        agrees = along or mask_tools.mask_iou(detector_mask, mask) >= _MIN_AGREEMENT
     else:
         agrees = True
-    if box is not None and box_iou(own_box, box) < _MIN_BOX_IOU:
-        in_box = share_inside(own_box[None], box[None])[0] >= _MIN_INSIDE
+    if box is not None and mask_tools.box_iou(own_box, box) < _MIN_BOX_IOU:
+        in_box = mask_tools.share_inside(own_box[None], box[None])[0] >= _MIN_INSIDE
         if not (along and in_box):
             return "mask-off-box"
     return "" if agrees else "mask-off-detector"
@@ -472,17 +455,15 @@ def _with_mask(
     agreement = np.ones(len(sure))
     detector_mask = instance.detector_mask
     if detector_mask is not None and detector_mask.any():
-        agreement = mask_ious(logits > 0, mask_to_sam(detector_mask, logits.shape[1:]))
+        agreement = mask_tools.mask_ious(logits > 0, mask_to_sam(detector_mask, logits.shape[1:]))
     mask = mask_from_logits(logits[int((sure + agreement).argmax())], height, width)
     return _with(instance, mask, _fault(mask, detector_mask, box))
 
 
 def _parts(instance: Instance) -> tuple[Instance, ...]:
     """Return an instance for each part of the detector's mask, or the instance itself."""
-    import cv2
-
     detector_mask = instance.detector_mask
-    window = None if detector_mask is None else mask_window(detector_mask)
+    window = None if detector_mask is None else mask_tools.mask_window(detector_mask)
     if detector_mask is None or window is None:
         return (instance,)
     part = detector_mask[window].astype(np.uint8)
@@ -495,7 +476,9 @@ def _parts(instance: Instance) -> tuple[Instance, ...]:
     masks = [np.zeros_like(detector_mask) for _ in large]
     for mask, k in zip(masks, large, strict=True):
         mask[window] = np.asarray(labels) == k
-    return tuple(replace(instance, box=box_of_mask(mask), detector_mask=mask) for mask in masks)
+    return tuple(
+        replace(instance, box=mask_tools.box_of_mask(mask), detector_mask=mask) for mask in masks
+    )
 
 
 def _union(instance: Instance, drawn: Sequence[Instance]) -> Instance:
@@ -508,7 +491,7 @@ def _union(instance: Instance, drawn: Sequence[Instance]) -> Instance:
 def _disjoint(instances: Sequence[Instance]) -> tuple[Instance, ...]:
     """Assign each pixel to one fruit; reject a mask of which too little is left."""
     masks = [instance.mask for instance in instances]
-    disjoint = disjoint_masks(masks, [instance.confidence for instance in instances])
+    disjoint = mask_tools.disjoint_masks(masks, [instance.confidence for instance in instances])
     out = []
     for instance, before, after in zip(instances, masks, disjoint, strict=True):
         if after is not None and after is not before:

@@ -9,15 +9,19 @@ from __future__ import annotations
 
 import ast
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import lru_cache
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from pathlib import Path
+from typing import Annotated, Any, Literal
 
+import cv2
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 from pydantic import BeforeValidator, Field, PositiveInt
 
+from cucumbervision.arrays import Array, Array32, Ints, Mask, Pixels
 from cucumbervision.errors import CucumberVisionError, ModelError, as_errors_of
 from cucumbervision.files import parse_model
 from cucumbervision.fruit.instance import TRUSTED_SHARE, UNKNOWN_ORDER, Instance
@@ -25,15 +29,6 @@ from cucumbervision.fruit.masks import box_ious, suppress
 from cucumbervision.networks import DEFAULT_CONFIDENCE, LARGEST_INPUT_PX
 from cucumbervision.networks.runtime import Network, TensorInfo, input_planes, open_network
 from cucumbervision.tube.compiled import OneThread
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
-    from numpy.typing import ArrayLike, NDArray
-
-    from cucumbervision.arrays import Array, Array32, Ints, Mask, Pixels
-
 
 ONE_TO_ONE_KEY = "one2one"
 """Metadata key of our exports: 'True' if the raw output is from the one-to-one head."""
@@ -157,16 +152,16 @@ def parse_input_sizes(text: str) -> tuple[int, ...]:
 
 @dataclass(frozen=True)
 class Letterbox:
-    """Position of a picture in a network's input; made by `fit`.
+    """Position of an image in a network's input; made by `fit`.
 
     Parameters
     ----------
     height, width : int
-        The picture's size in pixels.
+        The image's size in pixels.
     input_height, input_width : int
         The network input's size.
     inner_height, inner_width : int
-        The resized picture's size inside it.
+        The resized image's size inside it.
     top_px, left_px : int
         Grey rows above and columns to the left.
 
@@ -200,8 +195,6 @@ class Letterbox:
         -------
         ndarray of uint8, shape (input_height, input_width, 3)
         """
-        import cv2
-
         size = self.inner_width, self.inner_height
         inner = cv2.resize(color_rgb, size, interpolation=cv2.INTER_LINEAR)
         out = np.full((self.input_height, self.input_width, 3), _GREY, np.uint8)
@@ -224,7 +217,7 @@ class Letterbox:
         Returns
         -------
         ndarray of float64, shape (N, 4)
-            The same in the picture's pixels, from its first pixel's centre.
+            The same in the image's pixels, from its first pixel's centre.
         """
         return self.points_back(np.reshape(boxes, (-1, 2, 2))).reshape(-1, 4)
 
@@ -239,7 +232,7 @@ class Letterbox:
         Returns
         -------
         ndarray of float64, shape (..., 2)
-            The same in the picture's pixels, from its first pixel's centre.
+            The same in the image's pixels, from its first pixel's centre.
         """
         # Each side has its own gain, since each was rounded to whole pixels.
         gain = self.inner_width / self.width, self.inner_height / self.height
@@ -251,7 +244,7 @@ class Letterbox:
     ) -> Mask:
         """Map one mask from the prototypes' grid to the image, and crop it to its box.
 
-        The prototypes' weighted sum is interpolated linearly and cut at zero at the picture's own
+        The prototypes' weighted sum is interpolated linearly and cut at zero at the image's own
         resolution (`process_mask_native`, Ultralytics' `retina_masks`); only the part that the
         box needs is computed.
 
@@ -262,7 +255,7 @@ class Letterbox:
         coefficients : ndarray of float32, shape (C,)
             The detection's weight of each.
         box : ndarray, shape (4,)
-            x1, y1, x2, y2 in the picture's pixels, from its first pixel's centre.
+            x1, y1, x2, y2 in the image's pixels, from its first pixel's centre.
 
         Returns
         -------
@@ -287,7 +280,7 @@ def fit(
     Parameters
     ----------
     height, width : int
-        The picture's size in pixels.
+        The image's size in pixels.
     size : tuple of int
         Height and width of the network's input.
     minimal : bool
@@ -326,7 +319,7 @@ def fit(
 
 @lru_cache(maxsize=8)
 def _mask_weights(box: Letterbox, rows: int, columns: int) -> tuple[Array32, Array32]:
-    """Return the matrices that interpolate the prototypes' rows and columns to the picture's."""
+    """Return the matrices that interpolate the prototypes' rows and columns to the image's."""
     return (
         _linear_weights(rows, box.input_height, box.top_px, box.inner_height, box.height),
         _linear_weights(columns, box.input_width, box.left_px, box.inner_width, box.width),
@@ -336,7 +329,7 @@ def _mask_weights(box: Letterbox, rows: int, columns: int) -> tuple[Array32, Arr
 def _linear_weights(cells: int, input_px: int, start_px: int, inner_px: int, size: int) -> Array32:
     """Return what each of `cells` along a side adds to each of `size` pixels, (size, cells).
 
-    The picture's side lies at `start_px`, `inner_px` long, in an input of `input_px`. Cells in the
+    The image's side lies at `start_px`, `inner_px` long, in an input of `input_px`. Cells in the
     padding add nothing.
     """
     cell = (start_px + (np.arange(size) + 0.5) * inner_px / size) * cells / input_px - 0.5
@@ -603,9 +596,8 @@ def merge_sizes(by_size: Sequence[Sequence[Instance]]) -> tuple[Instance, ...]:
     for size, instance in sorted(finds, key=lambda pair: -pair[1].confidence):
         free = [group for group in groups if size not in group]
         firsts = [next(iter(group.values())) for group in free]
-        ious = box_ious(
-            instance.box[None], np.array([first.box for first in firsts]).reshape(-1, 4)
-        )[0]
+        boxes = np.array([first.box for first in firsts]).reshape(-1, 4)
+        ious = box_ious(instance.box[None], boxes)[0]
         ious *= [first.class_name == instance.class_name for first in firsts]
         if ious.size and ious.max() > SAME_IOU:
             free[int(ious.argmax())][size] = instance

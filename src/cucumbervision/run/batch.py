@@ -27,85 +27,47 @@ from textwrap import shorten
 from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from cucumbervision import errors
+from cucumbervision.arrays import Numbers, Pixels
 from cucumbervision.capture.frames import Capture
+from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.readers import open_source
-from cucumbervision.capture.source import CaptureRef, unique_name
-from cucumbervision.errors import (
-    CaptureError,
-    CucumberVisionError,
-    InstancesError,
-    MissingExtraError,
-)
+from cucumbervision.capture.source import CaptureRef, CaptureSource, ReadOptions, unique_name
 from cucumbervision.files import as_path
 from cucumbervision.fruit.instance import Instance
+from cucumbervision.fruit.label_files import InstanceFile, LabelledImage, read_instances
+from cucumbervision.methods.result import Fruit
+from cucumbervision.methods.table import Method, Trait
 from cucumbervision.networks.runtime import CARD_RUNTIMES, limit_threads
-from cucumbervision.plugins import plugins
-from cucumbervision.run.fields import FIELDS
+from cucumbervision.plugins import Detector, Reader, Segmenter, plugins
+from cucumbervision.run.fields import FIELDS, Cell
 from cucumbervision.run.measurer import Boundary, CaptureResult, Failure, Measurer, plugin_failures
 from cucumbervision.run.options import INSTANCE_SOURCES, MeasureOptions, PlugIns
 
 if TYPE_CHECKING:
     import pandas as pd
-    from numpy.typing import ArrayLike
-
-    from cucumbervision.arrays import Numbers, Pixels
-    from cucumbervision.capture.intrinsics import Intrinsics
-    from cucumbervision.capture.source import CaptureSource, ReadOptions
-    from cucumbervision.fruit.label_files import InstanceFile
-    from cucumbervision.methods.result import Fruit
-    from cucumbervision.methods.table import Method, Trait
-    from cucumbervision.plugins import Detector, Reader, Segmenter
-    from cucumbervision.run.fields import Cell
 
 _log = logging.getLogger(__name__)
 _LONGEST_LIST = 300
 
 T = TypeVar("T")
-ItemT = TypeVar("ItemT", bound="Listed | Failure")
-Opener: TypeAlias = Callable[[Path, "ReadOptions"], "CaptureSource"]
+T_co = TypeVar("T_co", covariant=True)
+ItemT = TypeVar("ItemT", bound="CaptureRef | Failure")
 
-
-@dataclass(frozen=True)
-class Listed:
-    """A capture of an input, not read yet.
-
-    Parameters
-    ----------
-    input : str
-        The input as the user gave it.
-    ref : CaptureRef
-        The capture.
-    name : str
-        Name in tables and images, unique within a run.
-    """
-
-    input: str
-    ref: CaptureRef
-    name: str
-
-    @classmethod
-    def of(cls, capture: Capture) -> Listed:
-        """Return a capture that is in memory."""
-        ref = CaptureRef(capture.name, capture.frame or 0, partial(_itself, capture))
-        return cls(capture.source or capture.name, ref, capture.name)
-
-
-def _itself(capture: Capture) -> Capture:
-    return capture
-
-
-Item: TypeAlias = Listed | Failure
-"""A capture that is to be measured, or why there is none."""
+Item: TypeAlias = CaptureRef | Failure
+"""A capture to measure, or the reason why it cannot be listed."""
 
 
 def load(item: Item) -> Capture | Failure:
-    """Read a capture; a failure is returned."""
+    """Read a capture under the name of its item; a failure is returned."""
     if isinstance(item, Failure):
         return item
     failures: list[Failure] = []
     with Boundary(failures, item.input, item.name):
-        return item.ref.load()
+        capture = item.load()
+        return capture if capture.name == item.name else replace(capture, name=item.name)
     return failures[0]
 
 
@@ -114,12 +76,10 @@ def portable(item: Item) -> Item:
 
     A capture without files, such as a frame of a recording, is read here.
     """
-    if isinstance(item, Failure) or item.ref.parts is not None:
+    if isinstance(item, Failure) or item.parts is not None:
         return item
     read = load(item)
-    if isinstance(read, Failure):
-        return read
-    return replace(item, ref=replace(item.ref, load=partial(_itself, read)))
+    return read if isinstance(read, Failure) else replace(item, load=CaptureRef.of(read).load)
 
 
 def _place(location: Path | str) -> str:
@@ -130,7 +90,7 @@ def _place(location: Path | str) -> str:
 def list_captures(
     inputs: Iterable[Path],
     reading: ReadOptions,
-    opener: Opener = open_source,
+    readers: Sequence[Reader] = (),
     say: Callable[[str], None] = _log.warning,
 ) -> Iterator[Item]:
     """List the captures of all inputs; each input is opened once, when it is reached.
@@ -141,14 +101,14 @@ def list_captures(
         Folders and files that `open_source` can read.
     reading : ReadOptions
         Reading options.
-    opener : callable
-        Opens each input.
+    readers : sequence of Reader
+        Further readers, as for `open_source`.
     say : callable
         Called with a line for an input that was given before.
 
     Yields
     ------
-    Listed or Failure
+    CaptureRef or Failure
         A capture, or the failure of one or of a whole input.
     """
     places = set[str]()
@@ -157,27 +117,25 @@ def list_captures(
             say(f"{path} is given twice: it is measured once")
             continue
         places.add(place)
-        yield from list_source(str(path), partial(opener, path, reading))
+        yield from list_source(str(path), partial(open_source, path, reading, readers))
 
 
-def list_source(name: str, opener: Callable[[], CaptureSource]) -> Iterator[Item]:
-    """List the captures of one source, as `list_captures`; `name` is used in failures."""
+def list_source(name: str, open_it: Callable[[], CaptureSource]) -> Iterator[Item]:
+    """List the captures of one source, as `list_captures`; `name` is the input in failures."""
     failures: list[Failure] = []
     with Boundary(failures, name):
-        source = opener()
+        source = open_it()
         if unused := source.unused:
             names = shorten(", ".join(unused), _LONGEST_LIST, placeholder=" …")
-            _log.warning("%s: %d pictures belong to no capture: %s", name, len(unused), names)
+            _log.warning("%s: %d images belong to no capture: %s", name, len(unused), names)
         for ref in source:
-            yield Listed(name, ref, ref.name)
+            yield replace(ref, input=name)
     yield from failures
 
 
-def read_captures(
-    inputs: Iterable[Path], reading: ReadOptions, opener: Opener = open_source
-) -> Iterator[Capture | Failure]:
+def read_captures(inputs: Iterable[Path], reading: ReadOptions) -> Iterator[Capture | Failure]:
     """Read the captures of all inputs one after the other; parameters as for `list_captures`."""
-    return map(load, list_captures(inputs, reading, opener))
+    return map(load, list_captures(inputs, reading))
 
 
 def each_once(listed: Iterable[Item], say: Callable[[str], None]) -> Iterator[Item]:
@@ -188,36 +146,34 @@ def each_once(listed: Iterable[Item], say: Callable[[str], None]) -> Iterator[It
 
     Parameters
     ----------
-    listed : iterable of Listed or Failure
+    listed : iterable of CaptureRef or Failure
         Result of `list_captures`.
     say : callable
         Called at the end with a line for each input that repeats earlier captures.
     """
     names, places, repeats = set[str](), set[str](), Counter[str]()
-    for entry in listed:
-        if isinstance(entry, Failure):
-            yield entry
+    for item in listed:
+        if isinstance(item, Failure):
+            yield item
             continue
-        place = _place(entry.ref.location)
-        if entry.ref.location and place in places:
-            repeats[entry.input] += 1
+        place = _place(item.location)
+        if item.location and place in places:
+            repeats[item.input] += 1
             continue
         places.add(place)
-        yield Listed(entry.input, entry.ref, unique_name(entry.name, names))
+        yield replace(item, name=unique_name(item.name, names))
     for path, count in repeats.items():
         what = "1 capture was" if count == 1 else f"{count} captures were"
         say(f"{path}: {what} given before, and measured once")
 
 
-def count_captures(
-    inputs: Sequence[Path], reading: ReadOptions, opener: Opener = open_source
-) -> int | None:
+def count_captures(inputs: Sequence[Path], reading: ReadOptions) -> int | None:
     """Return the number of captures in the inputs; None if it is known only after reading."""
     total = 0
     for path in {_place(path): path for path in inputs}.values():
         source = None
         with Boundary([], str(path)):
-            source = opener(path, reading)
+            source = open_source(path, reading)
         if source is not None and source.total is None:
             return None
         # An input that cannot be opened counts as one step.
@@ -225,82 +181,80 @@ def count_captures(
     return total
 
 
-def label_file(instances: str) -> InstanceFile | None:
-    """Return the file that `MeasureOptions.instances` names; None for other sources of fruit.
-
-    Raises
-    ------
-    InstancesError
-        If it cannot be read.
-    """
-    if (
-        instances in INSTANCE_SOURCES
-        or instances in plugins("detectors")
-        or Path(instances).suffix.lower() == ".onnx"
-    ):
-        return None
-    from cucumbervision.fruit.label_files import read_instances
-
-    return read_instances(instances)
-
-
-def labelled_once(
-    file: InstanceFile | None, items: Iterable[Listed | Failure]
-) -> Iterator[Listed | Failure]:
-    """Yield items; a capture whose entry in the file an earlier one has becomes a failure."""
-    used = dict[int, str]()
-    for item in items:
-        if file is None or isinstance(item, Failure):
-            yield item
-            continue
-        entry = None
-        with suppress(InstancesError):  # measuring the capture raises the error
-            place = item.ref.location.removesuffix("/capture.json")
-            entry = file.find((item.name, place), item.ref.frame)
-        if entry is None or used.setdefault(id(entry), item.name) == item.name:
-            yield item
-            continue
-        error = InstancesError(
-            f"names {entry.name or entry.number} once, which both {used[id(entry)]} and "
-            f"{item.name} are: only the first was measured, maybe with the other's fruit",
-            source=file.source,
-            remedy="name the pictures with their folders, and measure again",
-        )
-        yield Failure.of(error, item.input, item.name)
-
-
-def instance_notes(
-    file: InstanceFile, captures: Sequence[tuple[Sequence[str], int | None]]
-) -> list[str]:
-    """Return notes on captures and on images of a file without a counterpart.
+class Labels:
+    """Compares the captures of a run with the file of fruit that its options name.
 
     Parameters
     ----------
-    file : InstanceFile
-        The file.
-    captures : sequence of (sequence of str, int or None)
-        Names and frame number of each capture, as for `InstanceFile.for_capture`.
+    instances : str
+        `MeasureOptions.instances`; if it names no file, nothing is compared.
 
     Raises
     ------
     InstancesError
-        If the file names none of the captures.
+        If the file cannot be read.
     """
-    missing, unused = file.coverage(captures)
-    if missing and len(missing) == len(captures):
-        raise InstancesError(
-            f"names none of the captures ({_shortened(missing)}); it names {_shortened(unused)}",
-            source=file.source,
-            remedy="name its pictures as the captures are called",
+
+    def __init__(self, instances: str) -> None:
+        self._file: InstanceFile | None = None
+        self._names: dict[int, str] = {}  # of the capture that an entry of the file belongs to
+        self._missing: list[str] = []
+        is_network = Path(instances).suffix.lower() == ".onnx"
+        if not (is_network or instances in INSTANCE_SOURCES or instances in plugins("detectors")):
+            self._file = read_instances(instances)
+
+    def checked(self, items: Iterable[ItemT]) -> Iterator[ItemT | Failure]:
+        """Yield items; a capture whose entry in the file an earlier one has becomes a failure."""
+        for item in items:
+            if self._file is None or isinstance(item, Failure):
+                yield item
+                continue
+            with suppress(errors.InstancesError):  # measuring the capture raises the error
+                place = item.location.removesuffix("/capture.json")
+                entry = self._file.find((item.name, place), item.frame)
+                if entry is None:
+                    self._missing.append(item.name)
+                elif self._names.setdefault(id(entry), item.name) != item.name:
+                    yield Failure.of(self._twice(entry, item.name), item.input, item.name)
+                    continue
+            yield item
+
+    def _twice(self, entry: LabelledImage, name: str) -> errors.InstancesError:
+        return errors.InstancesError(
+            f"names {entry.name or entry.number} once, which both {self._names[id(entry)]} and "
+            f"{name} are: only the first was measured, maybe with the other's fruit",
+            source=self._file and self._file.source,
+            remedy="name the images with their folders, and measure again",
         )
-    notes = [f"{file.source}: no fruit given for {', '.join(missing)}"] if missing else []
-    if unused and captures:
-        notes.append(f"{file.source}: no capture is called {', '.join(unused)}")
-    if file.crowds:
-        notes.append(
-            f"{file.source}: {file.crowds} crowd regions, of several fruit each, are left out"
-        )
-    return notes
+
+    def notes(self) -> list[str]:
+        """Return notes on captures and on images of the file without a counterpart.
+
+        Raises
+        ------
+        InstancesError
+            If the file names none of the captures.
+        """
+        file, missing = self._file, self._missing
+        if file is None or not (missing or self._names):
+            return []
+        unused = [
+            image.name or f"image id {image.number}"
+            for image in file.pictures
+            if id(image) not in self._names
+        ]
+        if not self._names:
+            raise errors.InstancesError(
+                f"names none of the captures ({_shortened(missing)}); it names "
+                f"{_shortened(unused)}",
+                source=file.source,
+                remedy="name its images as the captures are called",
+            )
+        notes = [f"no fruit given for {', '.join(missing)}"] if missing else []
+        notes += [f"no capture is called {', '.join(unused)}"] if unused else []
+        if file.crowds:
+            notes.append(f"{file.crowds} crowd regions, of several fruit each, are left out")
+        return [f"{file.source}: {note}" for note in notes]
 
 
 def _shortened(names: Sequence[str], most_names: int = 5) -> str:
@@ -308,24 +262,7 @@ def _shortened(names: Sequence[str], most_names: int = 5) -> str:
     return f"{', '.join(names[:most_names])}{remainder}"
 
 
-@dataclass(frozen=True, eq=False)
-class Outcome(Generic[T]):
-    """The outcome of one capture, or of an input that could not be listed.
-
-    Parameters
-    ----------
-    value : object, optional
-        The worker's result. None without a failure: the capture needed no work, or the loop was
-        cancelled before its turn.
-    failures : tuple of Failure
-        The failures.
-    """
-
-    value: T | None = None
-    failures: tuple[Failure, ...] = ()
-
-
-class Worker(ABC, Generic[T]):
+class Worker(ABC, Generic[T_co]):
     """Does the work of one capture, in this process or as a copy in another.
 
     Parameters
@@ -337,61 +274,52 @@ class Worker(ABC, Generic[T]):
     def __init__(self, measurer: Measurer) -> None:
         self.measurer = measurer
 
-    def __call__(self, item: Item) -> Outcome[T]:
-        """Read and measure one item; errors are returned in the outcome.
+    def __call__(self, item: Item) -> T_co | Failure | None:
+        """Read and measure one item; None if there is nothing to measure.
 
         Raises
         ------
         CucumberVisionError
             If the networks or the calibration cannot be loaded, as `Measurer.load`.
         """
-        read = self.read(item)
-        return read if isinstance(read, Outcome) else self.measure(read)
-
-    def read(self, item: Item) -> Outcome[T] | Capture:
-        """Read a capture; an outcome means that there is nothing to measure."""
-        if isinstance(item, Failure):
-            return Outcome(failures=(item,))
         read = load(item)
-        if isinstance(read, Failure):
-            return Outcome(failures=(read,))
-        return replace(read, name=item.name)
+        return read if isinstance(read, Failure) else self.measure(read)
 
     @abstractmethod
-    def measure(self, capture: Capture) -> Outcome[T]:
+    def measure(self, capture: Capture) -> T_co | Failure:
         """Measure a capture, and convert the result."""
 
 
 class ResultWorker(Worker[CaptureResult]):
-    """Returns results unchanged; a capture that could not be measured has an `error`."""
+    """Returns results unchanged."""
 
-    def measure(self, capture: Capture) -> Outcome[CaptureResult]:
+    def measure(self, capture: Capture) -> CaptureResult | Failure:
         """Measure a capture."""
         self.measurer.load()
         result = self.measurer.attempt(capture)
-        return Outcome(result, result.failures)
+        return result if result.error is None else result.failures[0]
 
 
-Engine: TypeAlias = Callable[[Iterable[Item], Worker[Any]], Iterator[Outcome[Any]]]
-"""Processes all items, and yields the outcome of each, in order, when it is available."""
+Engine: TypeAlias = Callable[[Iterable[Item], Worker[Any]], Iterator[Any]]
+"""Processes all items, and yields the worker's result of each, in order, when it is available."""
 
 
-def in_turn(items: Iterable[Item], worker: Worker[Any]) -> Iterator[Outcome[Any]]:
+def in_turn(items: Iterable[Item], worker: Worker[Any]) -> Iterator[Any]:
     """Process one item after the other, and request the next only when the previous one is done."""
     return map(worker, items)
 
 
-def in_process(items: Iterable[Item], worker: Worker[Any]) -> Iterator[Outcome[Any]]:
+def in_process(items: Iterable[Item], worker: Worker[Any]) -> Iterator[Any]:
     """Process two items at once in this process: the networks find one's fruit meanwhile."""
     with ThreadPoolExecutor(2) as threads:
         yield from _in_order(items, lambda item: threads.submit(worker, item).result, 2)
 
 
 def _in_order(
-    items: Iterable[Item], submit: Callable[[Item], Callable[[], Outcome[Any]]], most_running: int
-) -> Iterator[Outcome[Any]]:
-    """Yield outcomes in the order of the items, of which some are submitted ahead."""
-    remaining, running = iter(items), deque[Callable[[], Outcome[Any]]]()
+    items: Iterable[Item], submit: Callable[[Item], Callable[[], Any]], most_running: int
+) -> Iterator[Any]:
+    """Yield results in the order of the items, of which some are submitted ahead."""
+    remaining, running = iter(items), deque[Callable[[], Any]]()
     while True:
         running.extend(map(submit, islice(remaining, most_running - len(running))))
         if not running:
@@ -416,7 +344,7 @@ class Processes:
 
     workers: int
 
-    def __call__(self, items: Iterable[Item], worker: Worker[Any]) -> Iterator[Outcome[Any]]:
+    def __call__(self, items: Iterable[Item], worker: Worker[Any]) -> Iterator[Any]:
         """Process the items; at most two per worker are running or queued.
 
         If a process is killed, its captures are measured again, each in a separate process. A
@@ -431,7 +359,7 @@ class Processes:
 
         pool = new_pool()
 
-        def submit(item: Item) -> Callable[[], Outcome[Any]]:
+        def submit(item: Item) -> Callable[[], Any]:
             nonlocal pool
             ready = portable(item)
             try:
@@ -441,12 +369,12 @@ class Processes:
                 future = pool.submit(_do, ready)
             return partial(result, ready, future)
 
-        def result(item: Item, future: Future[Outcome[Any]]) -> Outcome[Any]:
+        def result(item: Item, future: Future[Any]) -> Any:
             with suppress(BrokenProcessPool):
                 return future.result()
             with suppress(BrokenProcessPool), new_pool(1) as alone:
                 return alone.submit(_do, item).result()
-            return _outcome_of_killed(item)
+            return _killed(item)
 
         try:
             yield from _in_order(items, submit, 2 * self.workers)
@@ -454,17 +382,17 @@ class Processes:
             pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _outcome_of_killed(item: Item) -> Outcome[Any]:
-    """Return the outcome of a capture whose process was killed twice."""
+def _killed(item: Item) -> Failure:
+    """Return the failure of a capture whose process was killed twice."""
     if isinstance(item, Failure):
-        return Outcome(failures=(item,))
-    error = CaptureError(
+        return item
+    error = errors.CaptureError(
         "the process that measured it was killed twice",
         source=item.name,
         remedy="look whether there is enough memory, and room on the disk for temporary files, or "
         "measure it alone",
     )
-    return Outcome(failures=(Failure.of(error, item.input, item.name),))
+    return Failure.of(error, item.input, item.name)
 
 
 _worker: list[Worker[Any]] = []  # the worker of this process
@@ -477,7 +405,7 @@ def _begin(worker: Worker[Any], threads: int) -> None:
     _worker.append(worker)
 
 
-def _do(item: Item) -> Outcome[Any]:
+def _do(item: Item) -> Any:
     return _worker[0](item)
 
 
@@ -506,7 +434,7 @@ class RayEngine:
     address: str = "local"
     workers: int = 0
 
-    def __call__(self, items: Iterable[Item], worker: Worker[Any]) -> Iterator[Outcome[Any]]:
+    def __call__(self, items: Iterable[Item], worker: Worker[Any]) -> Iterator[Any]:
         """Process the items; at most two per worker are running or queued.
 
         A capture whose process is killed is measured again. One whose process is killed twice
@@ -523,13 +451,13 @@ class RayEngine:
         try:
             import ray
         except ModuleNotFoundError:
-            raise MissingExtraError("ray", "cluster") from None
+            raise errors.MissingExtraError("ray", "cluster") from None
         try:
             # A local cluster needs no dashboard.
             local = {"include_dashboard": False} if self.address == "local" else {}
             ray.init(self.address, log_to_driver=False, logging_level="error", **local)
         except Exception as error:  # Ray's exceptions have no common base class
-            raise CucumberVisionError(
+            raise errors.CucumberVisionError(
                 f"no Ray cluster can be reached ({error})",
                 source=self.address,
                 remedy="check --ray, or give local for this machine alone",
@@ -547,25 +475,24 @@ class RayEngine:
             )(_do_on_cluster)
             shared = [ray.put(worker)]
 
-            def submit(item: Item) -> Callable[[], Outcome[Any]]:
+            def submit(item: Item) -> Callable[[], Any]:
                 ready = portable(item)
                 return partial(result, ready, do.remote(shared, max(1, int(share)), ready))
 
-            def result(item: Item, future: Any) -> Outcome[Any]:
+            def result(item: Item, future: Any) -> Any:
                 try:
-                    outcome: Outcome[Any] = ray.get(future)
+                    return ray.get(future)
                 except ray.exceptions.RayTaskError as error:
                     raise error.cause from None
                 except ray.exceptions.RayError:
-                    return _outcome_of_killed(item)
-                return outcome
+                    return _killed(item)
 
             yield from _in_order(items, submit, 2 * workers)
         finally:
             ray.shutdown()
 
 
-def _do_on_cluster(shared: list[Any], threads: int, item: Item) -> Outcome[Any]:
+def _do_on_cluster(shared: list[Any], threads: int, item: Item) -> Any:
     if not _worker:  # the first capture of this process
         import ray
 
@@ -585,15 +512,12 @@ class LoopOptions:
 
     Parameters
     ----------
-    opener : callable
-        Opens each input.
     engine : Engine
         Where captures are processed.
     is_cancelled : callable
         Called before each capture; if it returns True, no further capture is started.
     """
 
-    opener: Opener = open_source
     engine: Engine = in_process
     is_cancelled: Callable[[], bool] = never
 
@@ -603,12 +527,12 @@ def measure_all(
     worker: Worker[T],
     engine: Engine = in_process,
     is_cancelled: Callable[[], bool] = never,
-) -> Iterator[tuple[ItemT, Outcome[T]]]:
-    """Measure captures, and yield each item with its outcome, in order.
+) -> Iterator[tuple[ItemT, T | Failure | None]]:
+    """Measure captures, and yield each item with the worker's result, in order.
 
     Parameters
     ----------
-    items : iterable of Listed or Failure
+    items : iterable of CaptureRef or Failure
         The captures; failures are passed through in order.
     worker : Worker
         Reads and measures each capture, and converts the result.
@@ -616,6 +540,13 @@ def measure_all(
         Where captures are processed: `in_turn`, `in_process`, `Processes` or `RayEngine`.
     is_cancelled : callable
         Once it returns True, running captures are finished and no more are started.
+
+    Yields
+    ------
+    item : CaptureRef or Failure
+        The item.
+    result : object, Failure or None
+        None if the capture needed no work, or the loop was cancelled before its turn.
 
     Raises
     ------
@@ -627,23 +558,37 @@ def measure_all(
     >>> from cucumbervision import MeasureOptions, example_captures
     >>> worker = ResultWorker(Measurer(MeasureOptions(instances="dataset", methods=("M1",))))
     >>> listed = list_captures([example_captures()], worker.measurer.options.reading)
-    >>> [(ref.name, len(outcome.value.fruit)) for ref, outcome in measure_all(listed, worker)]
+    >>> [(ref.name, len(result.fruit)) for ref, result in measure_all(listed, worker)]
     [('simulated-bench', 3), ('simulated-row-a', 3), ('simulated-row-b', 2)]
     """
     begun = deque[tuple[ItemT, bool]]()
 
     def started() -> Iterator[ItemT]:
         for item in items:
-            is_dropped = isinstance(item, Listed) and is_cancelled()
+            is_dropped = isinstance(item, CaptureRef) and is_cancelled()
             begun.append((item, is_dropped))
             if not is_dropped:
                 yield item
 
-    for outcome in engine(started(), worker):
+    for result in engine(started(), worker):
         while begun[0][1]:
-            yield begun.popleft()[0], Outcome()
-        yield begun.popleft()[0], outcome
-    yield from ((item, Outcome()) for item, _ in begun)
+            yield begun.popleft()[0], None
+        yield begun.popleft()[0], result
+    yield from ((item, None) for item, _ in begun)
+
+
+def results_of(
+    items: Iterable[Item], worker: Worker[T], is_cancelled: Callable[[], bool] = never
+) -> tuple[list[T], list[Failure]]:
+    """Measure captures as `measure_all`; return results and failures, each in order."""
+    results, failures = list[T](), list[Failure]()
+    for _, result in measure_all(items, worker, is_cancelled=is_cancelled):
+        if isinstance(result, Failure):
+            failures.append(result)
+        elif result is not None:
+            results.append(result)
+            failures += getattr(result, "failures", ())
+    return results, failures
 
 
 @dataclass(frozen=True, eq=False)
@@ -681,7 +626,7 @@ class Results:
         try:
             import pandas as pd
         except ModuleNotFoundError:
-            raise MissingExtraError("pandas") from None
+            raise errors.MissingExtraError("pandas") from None
         fields = self.captures[0].fields if self.captures else FIELDS
         return pd.DataFrame(self.rows(), columns=[fruit_field.name for fruit_field in fields])
 
@@ -785,46 +730,37 @@ def measure(
     measurer.load()
     if isinstance(captures, np.ndarray):
         if depth is None or intrinsics is None:
-            raise CaptureError(
+            raise errors.CaptureError(
                 "a picture alone has no lengths", remedy="give measure(color, depth, intrinsics)"
             )
         captures = Capture.from_arrays(captures, depth, intrinsics, depth_unit_m=depth_unit_m)
     elif not depth is intrinsics is depth_unit_m is None:
-        raise CaptureError(
+        raise errors.CaptureError(
             "depth, intrinsics and depth_unit_m belong to a picture in memory",
             remedy="for files give options=MeasureOptions(reading=ReadOptions(...))",
         )
     inputs = [captures] if isinstance(captures, Capture | Path | str) else captures
-    return _measured(measurer, inputs, partial(open_source, readers=tuple(readers)))
+    return _measured(measurer, inputs, tuple(readers))
 
 
 def _measured(
-    measurer: Measurer, inputs: Iterable[Capture | Path | str], opener: Opener
+    measurer: Measurer, inputs: Iterable[Capture | Path | str], readers: Sequence[Reader]
 ) -> Results:
     """Measure captures in memory and those below paths."""
 
     def items() -> Iterator[Item]:
         for source in inputs:
             if isinstance(source, Capture):
-                yield Listed.of(source)
+                yield CaptureRef.of(source)
             else:
-                yield from list_captures([as_path(source)], measurer.options.reading, opener)
+                yield from list_captures([as_path(source)], measurer.options.reading, readers)
 
     chosen = measurer.options.instances
-    labels = label_file(chosen) if measurer.plug_ins.detector is None else None
-    listed = labelled_once(labels, items())
-    outcomes = [outcome for _, outcome in measure_all(listed, ResultWorker(measurer))]
-    results = [
-        outcome.value
-        for outcome in outcomes
-        if outcome.value is not None and outcome.value.error is None
-    ]
-    failures = plugin_failures(measurer)
-    failures += [failure for outcome in outcomes for failure in outcome.failures]
-    if labels is not None:
-        names = [((r.capture.name, r.capture.source), r.capture.frame) for r in results]
-        with Boundary(failures, chosen):
-            instance_notes(labels, names)
+    labels = Labels(chosen if measurer.plug_ins.detector is None else "auto")
+    results, failed = results_of(labels.checked(items()), ResultWorker(measurer))
+    failures = [*plugin_failures(measurer), *failed]
+    with Boundary(failures, chosen):
+        labels.notes()
     return Results(tuple(results), tuple(failures))
 
 

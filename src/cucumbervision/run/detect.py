@@ -22,7 +22,7 @@ from cucumbervision.files import write_bytes, write_csv, write_json
 from cucumbervision.fruit.instance import KEYPOINT_NAMES, SKELETON, Instance
 from cucumbervision.fruit.mask_codes import encode_rle
 from cucumbervision.networks.registry import Registry
-from cucumbervision.run.batch import Item, Listed, Outcome, Worker, in_turn, measure_all
+from cucumbervision.run.batch import Item, Worker, in_turn, measure_all
 from cucumbervision.run.measurer import Boundary, Failure, Measurer, exit_code
 from cucumbervision.run.options import MeasureOptions
 from cucumbervision.run.overlay import draw_detections
@@ -48,7 +48,7 @@ def find_pictures(
 
     Returns
     -------
-    items : list of Listed or Failure
+    items : list of CaptureRef or Failure
         Each file once, in the order of the inputs, sorted within a folder; a failure for each input
         without images.
     skipped : int
@@ -72,7 +72,7 @@ def find_pictures(
         fault, remedy = "does not exist", "check the path"
         pictures = [(entry, entry.name)] if entry.exists() else []
         if entry.is_dir():
-            fault = "there are no pictures"
+            fault = "there are no images"
             remedy = "name JPEG, PNG, WebP, TIFF or BMP files, or a folder with some"
             files = [path for path in _files_below(entry) if apart not in path.resolve().parents]
             pictures = [
@@ -91,14 +91,12 @@ def find_pictures(
             name = next((choice for choice in choices if choice not in names), str(resolved))
             taken.add(resolved)
             names.add(name)
-            items.append(
-                Listed(str(path), CaptureRef(name, 0, partial(read_picture, path, name)), name)
-            )
+            items.append(CaptureRef(name, 0, partial(read_picture, path, name), input=str(path)))
     return items, skipped
 
 
 def read_picture(path: Path, name: str) -> Capture:
-    """Read a plain picture as a capture without depth; detectors use only its colour."""
+    """Read a plain image as a capture without depth; detectors use only its colour."""
     color = read_photo(path)
     height, width = color.shape[:2]
     lens = Intrinsics(width, height, float(width), float(width), width / 2, height / 2)
@@ -106,9 +104,8 @@ def read_picture(path: Path, name: str) -> Capture:
 
 
 def _files_below(folder: Path) -> list[Path]:
-    paths = sorted(folder.rglob("*"))
-    is_hidden = [any(p.startswith(".") for p in path.relative_to(folder).parts) for path in paths]
-    return [p for p, hidden in zip(paths, is_hidden, strict=True) if not hidden and p.is_file()]
+    names = (path.relative_to(folder) for path in sorted(folder.rglob("*")) if path.is_file())
+    return [folder / name for name in names if not any(p.startswith(".") for p in name.parts)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,15 +126,16 @@ class PictureWorker(Worker[DetectedPicture]):
         self._out = out
         self._taken: set[str] = set()
         self.labels: dict[str, None] = {}
+        self.failures: list[Failure] = []  # of overlays that could not be written
 
-    def measure(self, capture: Capture) -> Outcome[DetectedPicture]:
+    def measure(self, capture: Capture) -> DetectedPicture | Failure:
         """Return the detections; nothing is measured."""
         self.measurer.load()
         failures: list[Failure] = []
         with Boundary(failures, capture.source, capture.name):
             _, detections = self.measurer.detect(capture)
         if failures:
-            return Outcome(failures=tuple(failures))
+            return failures[0]
         fruit = [
             coco_fields(instance, keypoints=detections.posed) | {"class": instance.class_name}
             for instance in detections.instances
@@ -145,12 +143,11 @@ class PictureWorker(Worker[DetectedPicture]):
         found = sorted({instance["class"] for instance in fruit})
         self.labels |= dict.fromkeys((*detections.labels, *found))
         if self._out is not None:
-            with Boundary(failures, capture.source, capture.name):
+            with Boundary(self.failures, capture.source, capture.name):
                 stem = unique_name(safe_name(str(Path(capture.name).with_suffix(""))), self._taken)
                 drawn = draw_detections(capture.color, detections.instances)
                 write_jpeg(self._out / f"{stem}.jpg", drawn, _JPEG_QUALITY)
-        picture = DetectedPicture(capture.name, capture.width, capture.height, fruit)
-        return Outcome(picture, tuple(failures))
+        return DetectedPicture(capture.name, capture.width, capture.height, fruit)
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,14 +226,16 @@ def detect_inputs(
     if options.instances == "auto":  # plain images have no masks of a data set
         options = replace(options, instances="models")
     measurer = Measurer(options, registry)
-    result = DetectResult(skipped=skipped, models=measurer.load().networks.models, out=out)
+    models, worker = measurer.load().networks.models, PictureWorker(measurer, out / "overlays")
+    result = DetectResult(failures=worker.failures, skipped=skipped, models=models, out=out)
     with wrap_os_errors("cannot be written", out):
         (out / "overlays").mkdir(parents=True, exist_ok=True)
-    worker = PictureWorker(measurer, out / "overlays")
     try:
-        for done, (_, outcome) in enumerate(measure_all(items, worker, in_turn), start=1):
-            result.pictures.extend([] if outcome.value is None else [outcome.value])
-            result.failures.extend(outcome.failures)
+        for done, (_, answer) in enumerate(measure_all(items, worker, in_turn), start=1):
+            if isinstance(answer, DetectedPicture):
+                result.pictures.append(answer)
+            elif answer is not None:
+                result.failures.append(answer)
             if report is not None:
                 report(done, len(items))
     finally:
@@ -257,7 +256,7 @@ def _write(
             head = {"image_id": number, "file_name": picture.name, "category_id": category}
             lines.append(json.dumps(head | fields, ensure_ascii=False))
     info = {
-        "description": "Pictures given to cucumbervision detect; results.json has their fruit",
+        "description": "Images given to cucumbervision detect; results.json has their fruit",
         **software(),
         "started": started.isoformat(timespec="seconds"),
         "options": options.as_json(),
@@ -280,7 +279,7 @@ def _write(
 def coco_fields(instance: Instance, *, keypoints: bool) -> dict[str, Any]:
     """Return box, score, mask and keypoints of one fruit in the format of COCO results.
 
-    COCO counts pixels from the picture's corner, so that pixel (0, 0) covers 0 to 1. With
+    COCO counts pixels from the image's corner, so that pixel (0, 0) covers 0 to 1. With
     `keypoints` every entry has keypoints, because a network looked for them.
     """
     x1, y1, x2, y2 = (float(edge) for edge in instance.box)

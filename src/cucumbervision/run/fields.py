@@ -7,22 +7,18 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, cast
+from typing import Any, Literal, TypeAlias, cast
 
 import numpy as np
 from pydantic import BaseModel, create_model
 from pydantic import Field as Described
 
+from cucumbervision.arrays import Array
+from cucumbervision.capture.frames import Capture
 from cucumbervision.methods.flags import SHOWS_LESS
-from cucumbervision.methods.result import IntervalBasis, Length, LengthDefinition, LengthKind
-from cucumbervision.plugins import own
-
-if TYPE_CHECKING:
-    from cucumbervision.arrays import Array
-    from cucumbervision.capture.frames import Capture
-    from cucumbervision.methods.result import Fruit
-    from cucumbervision.methods.table import Trait
-    from cucumbervision.plugins import Plugin
+from cucumbervision.methods.result import Fruit, IntervalBasis, Length, LengthDefinition, LengthKind
+from cucumbervision.methods.table import Trait
+from cucumbervision.plugins import Plugin, own
 
 Cell: TypeAlias = str | int | float | bool | None
 CellType: TypeAlias = Literal["text", "whole", "number", "yes/no"]
@@ -40,12 +36,7 @@ _PLAIN: tuple[str, float, int | None] = ("", 1.0, None)
 _STORED_DIGITS = 9
 
 
-_PYTHON: dict[str, type[str | int | float | bool]] = {
-    "text": str,
-    "whole": int,
-    "number": float,
-    "yes/no": bool,
-}
+_PYTHON: dict[str, type] = {"text": str, "whole": int, "number": float, "yes/no": bool}
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ import numpy as np
 
 from cucumbervision.arrays import Array32, Pixels
 from cucumbervision.capture.frames import Capture
-from cucumbervision.errors import CucumberVisionError, InstancesError, PluginError
+from cucumbervision.errors import CucumberVisionError, InstancesError
 from cucumbervision.fruit.instance import (
     MASK_FAILURES,
     Instance,
@@ -44,8 +44,6 @@ class Detections:
         The instances, with the mask to measure if there is one.
     refused : tuple of CucumberVisionError
         Errors of entries of a file that are no valid instances of this image.
-    stages : frozenset of str
-        What networks did: 'detected', 'posed' and 'drawn'.
     labels : tuple of str
         The classes that a detector knows.
     posed : bool
@@ -54,18 +52,14 @@ class Detections:
         M6 of each instance whose mask was measured to evaluate the mask; empty if none was.
     left_out : mapping of str to int
         Number of excluded detections by class.
-    unmasked : frozenset of int
-        Indices of instances for which a segmenter of another package failed.
     """
 
     instances: tuple[Instance, ...]
     refused: tuple[CucumberVisionError, ...] = ()
-    stages: frozenset[str] = frozenset()
     labels: tuple[str, ...] = ()
     posed: bool = False
     tubes: tuple[Measurement | None, ...] = ()
     left_out: Mapping[str, int] = field(default_factory=dict)
-    unmasked: frozenset[int] = frozenset()
 
     def of_classes(self, classes: Collection[str]) -> Detections:
         """Return the detections of some classes; all if `classes` is empty."""
@@ -85,9 +79,6 @@ def _class_of(instance: Instance) -> str:
 
 
 Find: TypeAlias = Callable[["Capture"], Detections]
-
-
-_FINDING = {"segment", "detect", "fruit", "pose"}  # tasks of networks; all others draw masks
 
 
 class Finder:
@@ -145,19 +136,10 @@ class Finder:
         # Fruit that a program gives are of no plug-in.
         self._plugins = tuple(plugin for plugin in parts if not plugin.is_own)
 
-    def models_of(self, stages: Collection[str]) -> tuple[dict[str, Any], ...]:
-        """Return the networks that took part in some stages, and the plug-ins in their place."""
-        tasks = {"pose", "fruit"} if "posed" in stages else set()
-        tasks |= _FINDING if "detected" in stages else set()
-        drawn = "drawn" in stages
-        tasks |= {"look"} if drawn or "detected" in stages else set()
-        networks = [
-            network
-            for network in self.networks.models
-            if network["task"] in tasks or (drawn and network["task"] not in _FINDING | {"look"})
-        ]
-        kinds = {"detectors", "segmenters"} if drawn else {"detectors"}
-        return (*networks, *(plugin.as_json() for plugin in self._plugins if plugin.kind in kinds))
+    @property
+    def models(self) -> tuple[dict[str, Any], ...]:
+        """The loaded networks, and the plug-ins that take the place of networks."""
+        return (*self.networks.models, *(plugin.as_json() for plugin in self._plugins))
 
     def find(self, capture: Capture) -> Detections:
         """Return the fruit of a capture, with the masks to measure."""
@@ -174,17 +156,12 @@ class Finder:
         drawn = [k for k, instance in enumerate(instances) if draws_all or instance.mask is None]
         if drawn and (painter is not None or name != "none"):
             prompts = [replace(instances[k], mask=None, mask_source=None) for k in drawn]
-            try:
-                if painter is None:
-                    answers = tuple(self.networks.segmenter(name).segment(capture.color, prompts))
-                else:
-                    answers = _segmented(*painter, capture, prompts)
-            except PluginError as error:
-                answers, refused = tuple(prompts), (*detections.refused, error)
-                detections = replace(detections, unmasked=frozenset(drawn), refused=refused)
+            if painter is None:
+                answers = tuple(self.networks.segmenter(name).segment(capture.color, prompts))
+            else:
+                answers = _segmented(*painter, capture, prompts)
             for k, answer in zip(drawn, answers, strict=True):
                 instances[k] = answer
-            detections = replace(detections, stages=detections.stages | {"drawn"})
         return _finished(capture, detections, tuple(instances), self.networks)
 
     def _box_finder(self) -> Find:
@@ -215,8 +192,7 @@ class Finder:
                 return detections
             poses = pose.detect(capture.color)
             instances = with_keypoints(detections.instances, poses, sure=options.confidence)
-            stages = detections.stages | {"posed"}
-            return replace(detections, instances=instances, stages=stages, posed=True)
+            return replace(detections, instances=instances, posed=True)
 
         return find
 
@@ -243,7 +219,7 @@ class Finder:
                 others = (find_turned(capture, quarters) for quarters in (1, 3))
                 clear = [other for other in others if _best(other) >= _CLEAR]
                 found = max([found, *clear], key=lambda fruit: sum(x.confidence for x in fruit))
-            return Detections(found, stages=frozenset({"detected"}), labels=labels, posed=posed)
+            return Detections(found, labels=labels, posed=posed)
 
         return find
 
@@ -362,9 +338,7 @@ def dataset_instances(capture: Capture) -> tuple[Instance, ...]:
 
 
 def _finder_of(plugin: Plugin, detector: Detector) -> Find:
-    """Return the finder that a detector is; an installed one is a stage, which can be resumed."""
-    installed = plugins("detectors").get(plugin.name) == plugin
-    stages = frozenset({"detected"} if installed else ())
+    """Return the finder that calls a detector of the program or of another package."""
 
     def find(capture: Capture) -> Detections:
         instances: list[Instance] = []
@@ -376,13 +350,13 @@ def _finder_of(plugin: Plugin, detector: Detector) -> Find:
                 instances.append(inside)
             except InstancesError as error:
                 refused.append(error.at(f"{capture.source or capture.name}, instance {number}"))
-        return Detections(tuple(instances), tuple(refused), stages)
+        return Detections(tuple(instances), tuple(refused))
 
     return find
 
 
 _CLEAR = 0.45
-"""Confidence of a clear fruit, without which a picture whose up is unknown is turned."""
+"""Confidence of a clear fruit, without which an image whose up is unknown is turned."""
 
 
 def _best(fruit: Sequence[Instance]) -> float:
@@ -390,7 +364,7 @@ def _best(fruit: Sequence[Instance]) -> float:
 
 
 def upright_quarters(gravity: tuple[float, float, float] | None) -> int:
-    """Return the counterclockwise quarter turns after which up is up in a picture.
+    """Return the counterclockwise quarter turns after which up is up in an image.
 
     The networks learnt mostly from hanging fruit. 0 where gravity is unknown, or the camera looks
     steeply up or down.
@@ -407,7 +381,7 @@ def upright_quarters(gravity: tuple[float, float, float] | None) -> int:
 
 
 def _seen(capture: Capture) -> tuple[Pixels, Array32 | None, float | None]:
-    """Return colour, depth and focal length in pixels, both None for a picture without depth."""
+    """Return colour, depth and focal length in pixels, both None for an image without depth."""
     if not capture.depth_m.any():
         return capture.color, None, None
     return capture.color, capture.depth_m, capture.intrinsics.fx_px

@@ -12,11 +12,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from cucumbervision.accuracy.calibration_file import (
-    SiteCalibration,
-    calibrated_capture,
-    calibrated_fruit,
-)
+from cucumbervision.accuracy import calibration_file
+from cucumbervision.accuracy.calibration_file import SiteCalibration
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.errors import (
@@ -158,10 +155,8 @@ class CaptureResult:
         Why nothing was measured, and invalid entries of a file of instances.
     error : CucumberVisionError, optional
         Why nothing was measured; None if the capture was measured, even without fruit.
-    stages : frozenset of str
-        Stages that networks took part in, as in `Detections`.
     models : tuple of dict
-        Name, SHA-256 and runtime of each network that was used; kind, name, package and version
+        Name, SHA-256 and runtime of each network that is loaded; kind, name, package and version
         of each plug-in of another package.
     fields : tuple of Field
         Columns of the rows.
@@ -173,19 +168,12 @@ class CaptureResult:
     fruit: tuple[Fruit, ...] = ()
     failures: tuple[Failure, ...] = ()
     error: CucumberVisionError | None = None
-    stages: frozenset[str] = frozenset()
     models: tuple[dict[str, Any], ...] = ()
     left_out: Mapping[str, int] = field(default_factory=dict)
     fields: tuple[Field, ...] = FIELDS
 
     def __repr__(self) -> str:
         return f"<CaptureResult {self.capture.name}: {list(self.fruit)}>"
-
-    @classmethod
-    def failed(cls, capture: Capture, error: Exception) -> CaptureResult:
-        """Return the result of a capture that could not be measured."""
-        named = named_error(error, capture.source or capture.name)
-        return cls(capture, (), (Failure.of(named, capture.source, capture.name),), named)
 
     def rows(self) -> list[dict[str, Cell]]:
         """Return the rows of the table of fruit."""
@@ -247,9 +235,7 @@ class Measurer:
         """
         if self.options.calibration is None:
             return None
-        from cucumbervision.accuracy.calibration_file import read_site_calibration
-
-        return read_site_calibration(self.options.calibration)
+        return calibration_file.read_site_calibration(self.options.calibration)
 
     @cached_property
     def plugged(self) -> RunPlugins:
@@ -337,7 +323,7 @@ class Measurer:
             )
         finder = self.load()
         if self.site is not None:
-            capture = calibrated_capture(capture, self.site)
+            capture = calibration_file.calibrated_capture(capture, self.site)
         if self.options.camera_up is not None and capture.gravity is None:
             capture = replace(capture, gravity=GRAVITY_BY_EDGE[self.options.camera_up])
         with self._finding:
@@ -368,21 +354,17 @@ class Measurer:
         for number, instance in enumerate(detections.instances):
             if instance.is_clipped:
                 fruit[number] = fruit[number].flagged(Flag.BOX_CLIPPED)
-        for number in detections.unmasked:
-            fruit[number] = fruit[number].flagged(Flag.PLUGIN_FAILED)
         errors = {str(error): error for measurement in fruit for error in measurement.errors}
         refused = [
             Failure.of(error, capture.source, capture.name)
             for error in (*detections.refused, *errors.values())
         ]
-        models = () if self._finder is None else self._finder.models_of(detections.stages)
+        models = () if self._finder is None else self._finder.models
         reader = capture.provenance.get("reader")
         return CaptureResult(
             capture=capture,
             fruit=tuple(with_unit_doubts(fruit)),
             failures=tuple(refused),
-            error=None,
-            stages=detections.stages,
             models=(*models, *self.plugged.models, *([reader] if isinstance(reader, dict) else [])),
             left_out=detections.left_out,
             fields=self.plugged.fields,
@@ -402,7 +384,7 @@ class Measurer:
             self.plugged.methods,
             options.selector,
             options.length,
-            scale_known=self._scale_known,
+            scale_known=self.scale_known,
             cut_beyond_m=options.cut_beyond_m,
             tube=tube,
         )
@@ -413,14 +395,17 @@ class Measurer:
         The ends of all fruit are evaluated in one batch. Implausible sizes get no length. Traits
         are added last.
         """
-        options, scale_known = self.options, self._scale_known
+        options, scale_known = self.options, self.scale_known
         look = None if self._finder is None else self._finder.networks.look_at_ends
         if options.end_look and look is not None:
             measured = with_end_looks(
                 capture, measured, look, options.length, scale_known=scale_known
             )
         if self.site is not None:
-            measured = [calibrated_fruit(fruit, self.site, options.length) for fruit in measured]
+            measured = [
+                calibration_file.calibrated_fruit(fruit, self.site, options.length)
+                for fruit in measured
+            ]
         sizes = options.accepted_m, options.accepted_diameter_m
         accepted = [accepted_fruit(fruit, *sizes, capture.intrinsics) for fruit in measured]
         traits = self.plugged.traits
@@ -430,7 +415,8 @@ class Measurer:
         ]
 
     @property
-    def _scale_known(self) -> bool:
+    def scale_known(self) -> bool:
+        """Whether the calibration contains the depth scale of the camera."""
         return self.site is not None and self.site.depth_scale is not None
 
     def attempt(self, capture: Capture) -> CaptureResult:
@@ -438,7 +424,9 @@ class Measurer:
         try:
             return self.measure(capture)
         except Exception as error:
-            return CaptureResult.failed(capture, error)
+            named = named_error(error, capture.source or capture.name)
+            failure = Failure.of(named, capture.source, capture.name)
+            return CaptureResult(capture, failures=(failure,), error=named)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle options and calibration, so that another process loads its own networks.

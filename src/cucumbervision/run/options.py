@@ -10,15 +10,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Self, get_args
 
+from cucumbervision import errors
 from cucumbervision.capture.source import ReadOptions
 from cucumbervision.crop.profiles import PACK_PROFILE, CropProfile, load_profile
-from cucumbervision.errors import (
-    CucumberVisionError,
-    ModelError,
-    ModelHashError,
-    PluginError,
-    wrap_os_errors,
-)
 from cucumbervision.files import json_value, read_json
 from cucumbervision.methods.pose import CUT_BEYOND_M
 from cucumbervision.methods.result import LengthDefinition, Selector
@@ -36,7 +30,7 @@ GRAVITY_BY_EDGE = {
     "right": (-1.0, 0.0, 0.0),
     "bottom": (0.0, -1.0, 0.0),
 }
-"""Direction of gravity in camera coordinates, by the picture's edge that is up."""
+"""Direction of gravity in camera coordinates, by the image's edge that is up."""
 
 _CHOICES: dict[str, tuple[str, ...]] = {
     "length": tuple(LengthDefinition),
@@ -106,7 +100,7 @@ class MeasureOptions:
     cut_beyond_m : float
         Distance of the cut beyond the stem end, metres, from the crop profile.
     camera_up : str, optional
-        The picture's edge that is up, 'top', 'left', 'right' or 'bottom', for a camera that is
+        The image's edge that is up, 'top', 'left', 'right' or 'bottom', for a camera that is
         mounted about level before hanging fruit; it takes the place of `Capture.gravity` where a
         capture has none: the networks see the image turned upright, and the stem is above.
     """
@@ -194,8 +188,8 @@ def _method_names(methods: Sequence[str]) -> tuple[str, ...]:
     return tuple(name for name in table if name.casefold() in names)
 
 
-def _no_choice(name: str, value: Any, allowed: tuple[str, ...]) -> CucumberVisionError:
-    return CucumberVisionError(
+def _no_choice(name: str, value: Any, allowed: tuple[str, ...]) -> errors.CucumberVisionError:
+    return errors.CucumberVisionError(
         f"{value!r} is not a valid value", source=name, remedy=f"give {' or '.join(allowed)}"
     )
 
@@ -258,16 +252,18 @@ def read_pack(folder: Path) -> CropPack:
 def _network(folder: Path, task: str) -> Path | None:
     paths = sorted(folder.glob(f"*-{task}.onnx"))
     if len(paths) > 1:
-        raise ModelError(
+        raise errors.ModelError(
             f"holds {len(paths)} networks *-{task}.onnx", source=folder, remedy="keep one"
         )
     for path in paths:
         card = path.with_suffix(".json")
-        content = read_json(card, ModelError) if card.is_file() else {}
-        with wrap_os_errors("cannot be read", path, "put the network's file there", ModelError):
+        content = read_json(card, errors.ModelError) if card.is_file() else {}
+        with errors.wrap_os_errors(
+            "cannot be read", path, "put the network's file there", errors.ModelError
+        ):
             sha256 = file_sha256(path)
         if isinstance(content, dict) and content.get("sha256") not in (None, sha256):
-            raise ModelHashError(
+            raise errors.ModelHashError(
                 f"is not the network that {card.name} describes",
                 source=path,
                 remedy="export both again with `cucumbervision train export`",
@@ -324,7 +320,7 @@ class RunPlugins:
             try:
                 TableMethod.of(method)
                 self.methods.append(method)
-            except PluginError as fault:
+            except errors.PluginError as fault:
                 self.faults.append(fault)
         taken = {field.name for field in fields_with(self._method_names(), ())}
         handed = [
@@ -339,7 +335,7 @@ class RunPlugins:
                     raise plugin.error("has a name that is taken, and is left out")
                 taken.add(name)
                 self.traits.append((plugin, part))
-            except PluginError as fault:
+            except errors.PluginError as fault:
                 self.faults.append(fault)
 
     def _method_names(self) -> list[str]:

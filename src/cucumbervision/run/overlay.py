@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, cast
+from collections.abc import Sequence
+from typing import cast
 
 import cv2
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from cucumbervision.capture.frames import valid_depth
+from cucumbervision.arrays import Array, Mask, Numbers, Pixels
+from cucumbervision.capture.frames import Capture, valid_depth
+from cucumbervision.capture.intrinsics import Intrinsics
+from cucumbervision.capture.pictures import encoded
+from cucumbervision.fruit.instance import Instance
 from cucumbervision.fruit.masks import mask_window
 from cucumbervision.methods.paper_methods import MIN_VISIBILITY
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import ArrayLike, NDArray
-
-    from cucumbervision.arrays import Array, Mask, Numbers, Pixels
-    from cucumbervision.capture.frames import Capture
-    from cucumbervision.capture.intrinsics import Intrinsics
-    from cucumbervision.fruit.instance import Instance
-    from cucumbervision.methods.result import Fruit
+from cucumbervision.methods.result import Fruit
 
 # Okabe and Ito's palette, suitable for colour-blind people (RGB).
 COLORS = ((230, 159, 0), (86, 180, 233), (240, 228, 66), (204, 121, 167), (0, 158, 115))
@@ -257,5 +253,4 @@ def as_jpeg(image: Pixels, widest_px: int = 1280, quality: int = 85) -> bytes:
         height = round(image.shape[0] * widest_px / image.shape[1])
         small = cv2.resize(image, (widest_px, height), interpolation=cv2.INTER_AREA)
         image = cast("Pixels", small)
-    bgr = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
-    return cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
+    return encoded(image, ".jpg", quality)

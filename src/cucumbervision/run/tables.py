@@ -5,30 +5,24 @@ from __future__ import annotations
 import json
 from array import array
 from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import islice
+from pathlib import Path
 from statistics import fmean, median, stdev
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from types import ModuleType
+from typing import Any, Self
 
 import numpy as np
 
 from cucumbervision.errors import Message, MissingExtraError, joined
 from cucumbervision.files import cell_value, json_value
 from cucumbervision.methods.flags import Flag, data_doubts, is_length_unknown, is_lower_bound
-from cucumbervision.methods.result import Choice
+from cucumbervision.methods.result import Choice, Measurement
 from cucumbervision.methods.table import AVAILABLE
-from cucumbervision.run.fields import FIELDS
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-    from pathlib import Path
-    from types import ModuleType
-    from typing import Self
-
-    from cucumbervision.methods.result import Measurement
-    from cucumbervision.run.fields import Cell, Column, Field
-    from cucumbervision.run.measurer import CaptureResult
+from cucumbervision.run.fields import FIELDS, Cell, Column, Field
+from cucumbervision.run.measurer import CaptureResult
 
 FAILURE_COLUMNS = ("input", "capture", "error", "message")
 HEAD_COLOR = "#2F6B3A"
@@ -435,17 +429,11 @@ def write_parquet(
         If pyarrow is not installed.
     """
     pa = import_arrow()
-    kinds: dict[str, Any] = {
-        "text": pa.string(),
-        "whole": pa.int64(),
-        "number": pa.float64(),
-        "yes/no": pa.bool_(),
-    }
+    kinds = {str: pa.string(), int: pa.int64(), float: pa.float64(), bool: pa.bool_()}
     fields = [
-        pa.field(
-            column.name, kinds[column.type], metadata={"unit": column.unit, "says": column.says}
-        )
+        pa.field(column.name, kinds[column.python_type], metadata=described)
         for column in columns
+        for described in ({"unit": column.unit, "says": column.says},)
     ]
     metadata = {"cucumbervision": json.dumps(dict(provenance), ensure_ascii=False)}
     schema = pa.schema(fields, metadata=metadata)

@@ -8,6 +8,7 @@ import platform
 import shutil
 import tempfile
 import uuid
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
@@ -19,35 +20,17 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
+from cucumbervision import files
 from cucumbervision.about import code_sha256, installed_versions, software
 from cucumbervision.accuracy.calibration_file import SiteCalibration
 from cucumbervision.capture.frames import Capture
+from cucumbervision.capture.pictures import encoded
+from cucumbervision.capture.source import CaptureRef
 from cucumbervision.errors import CucumberVisionError, wrap_os_errors
-from cucumbervision.files import (
-    as_path,
-    each_file_read_once,
-    is_remote,
-    json_value,
-    read_bytes,
-    replacing,
-    with_retries,
-    write_csv,
-)
 from cucumbervision.networks.registry import Registry, file_sha256
 from cucumbervision.plugins import Plugin, plugins
-from cucumbervision.run.batch import (
-    Item,
-    Listed,
-    LoopOptions,
-    Outcome,
-    Worker,
-    each_once,
-    instance_notes,
-    label_file,
-    labelled_once,
-    list_captures,
-    measure_all,
-)
+from cucumbervision.run import batch as loop
+from cucumbervision.run import tables
 from cucumbervision.run.fields import Cell, Field
 from cucumbervision.run.measurer import (
     Boundary,
@@ -58,15 +41,7 @@ from cucumbervision.run.measurer import (
     plugin_failures,
 )
 from cucumbervision.run.options import INSTANCE_SOURCES, MeasureOptions
-from cucumbervision.run.tables import (
-    FAILURE_COLUMNS,
-    Summary,
-    capture_json,
-    excel_limit,
-    import_arrow,
-    write_parquet,
-    write_workbook,
-)
+from cucumbervision.run.overlay import draw_overlay
 from cucumbervision.tube.compiled import kernel_name
 
 RECORDS = "records"
@@ -112,6 +87,12 @@ class CaptureRecord:
             for fruit in self.capture["fruit"]
         ]
 
+    @property
+    def value(self) -> CaptureRecord:
+        """The record itself; deprecated, as reports of 0.1.0 had it in an outcome."""
+        warnings.warn("a report gets the record itself", DeprecationWarning, stacklevel=2)
+        return self
+
     def as_text(self) -> str:
         """Return the record as one line of JSON."""
         values = {**vars(self), "failures": [vars(failure) for failure in self.failures]}
@@ -150,7 +131,7 @@ class OutputFolder:
 
     def has(self, name: str) -> bool:
         """Return whether a file of that name exists."""
-        return with_retries(self.path, (self.path / name).exists)
+        return files.with_retries(self.path, (self.path / name).exists)
 
     def write(self, name: str, data: bytes) -> None:
         """Write a file.
@@ -173,15 +154,15 @@ class OutputFolder:
             If it cannot be written; what was there before is still there.
         """
         target: Any = self.path / name
-        if is_remote(self.path):
+        if files.is_remote(self.path):
             with tempfile.TemporaryDirectory(prefix="cucumbervision-") as folder:
                 filled = Path(folder) / Path(name).name
                 yield filled
-                with_retries(target, lambda: target.fs.put_file(str(filled), target.path))
+                files.with_retries(target, lambda: target.fs.put_file(str(filled), target.path))
             return
         for place in (target.parent, self._unfinished):
             place.mkdir(parents=True, exist_ok=True)
-        with replacing(target, self._unfinished) as filled:
+        with files.replacing(target, self._unfinished) as filled:
             yield filled
 
     def find(self, name: str) -> CaptureRecord | None:
@@ -190,7 +171,7 @@ class OutputFolder:
         # Neither JSON nor its text, or JSON of something else: the capture is measured again.
         with suppress(FileNotFoundError, ValueError, KeyError, TypeError, AttributeError):
             return replace(
-                CaptureRecord.of_text(with_retries(path, path.read_bytes)), is_earlier=True
+                CaptureRecord.of_text(files.with_retries(path, path.read_bytes)), is_earlier=True
             )
         return None
 
@@ -206,7 +187,7 @@ class OutputFolder:
             If another program has locked it, or it cannot be written.
         """
         with wrap_os_errors("cannot be written", self.path, "choose another --out"):
-            if is_remote(self.path):  # reports immediately if the store is read-only
+            if files.is_remote(self.path):  # reports immediately if the store is read-only
                 self.write(name, b"")
             else:
                 (self.path / name).parent.mkdir(parents=True, exist_ok=True)
@@ -215,7 +196,7 @@ class OutputFolder:
             import fcntl
         except ModuleNotFoundError:  # Windows
             fcntl = None  # type: ignore[assignment]
-        if is_remote(self.path) or fcntl is None:
+        if files.is_remote(self.path) or fcntl is None:
             yield
             return
         with file:
@@ -235,18 +216,18 @@ class OutputFolder:
                     self._unfinished.rmdir()
 
 
-Report: TypeAlias = Callable[[Outcome[CaptureRecord]], None]
+Report: TypeAlias = Callable[[CaptureRecord | Failure], None]
 Overlays: TypeAlias = Literal["png", "jpg", "none"]
 """Kind of the annotated images."""
 
 
 @dataclass(frozen=True)
-class BatchOptions(LoopOptions):
+class BatchOptions(loop.LoopOptions):
     """Options of a run that do not change rows.
 
     Parameters
     ----------
-    opener, engine, is_cancelled
+    engine, is_cancelled
         As in `LoopOptions`.
     parquet : bool
         Also write `parquet/`, in parts of 100,000 fruit.
@@ -280,17 +261,17 @@ class RunResult:
 
     out: Path
     failures: list[Failure] = field(default_factory=list)
-    summary: Summary = field(default_factory=Summary)
+    summary: tables.Summary = field(default_factory=tables.Summary)
     notes: list[str] = field(default_factory=list)
     before: int = 0
     interrupted: bool = False
-
-    def __post_init__(self) -> None:
-        self._names: list[str] = []  # a batch may be larger than the memory
+    # A batch may be larger than the memory: only the names of its captures are held.
+    _names: list[str] = field(default_factory=list, init=False)
 
     def add(self, record: CaptureRecord) -> None:
         """Count a capture."""
         self.summary.add(record.rows, record.models, record.capture.get("left_out"))
+        self.failures += record.failures
         self.before += record.is_earlier
         self._names.append(str(record.capture["name"]))
 
@@ -359,14 +340,14 @@ def measure_inputs(
     """
     batch = batch or BatchOptions()
     if batch.parquet:
-        import_arrow()
-    folder = OutputFolder(as_path(out))
+        tables.import_arrow()
+    folder = OutputFolder(files.as_path(out))
     with folder.locked(".lock"):
-        paths = [as_path(path) for path in inputs]
+        paths = [files.as_path(path) for path in inputs]
         return _measured(folder, Measurer(options), batch, paths, report)
 
 
-class FolderWorker(Worker[CaptureRecord]):
+class FolderWorker(loop.Worker[CaptureRecord]):
     """Measures captures that changed, and writes their images and records into a folder.
 
     Parameters
@@ -386,64 +367,57 @@ class FolderWorker(Worker[CaptureRecord]):
             measurer.options, measurer.registry, measurer.plugged.lines, measurer.site
         )
 
-    def __call__(self, item: Item) -> Outcome[CaptureRecord]:
+    def __call__(self, item: loop.Item) -> CaptureRecord | Failure:
         """Return the record of a capture if it would be made so again; otherwise measure it."""
         content, earlier = "", None
-        with each_file_read_once():
-            if isinstance(item, Listed) and item.ref.parts:
-                content = content_of(item.ref.parts())
+        with files.each_file_read_once():
+            if isinstance(item, CaptureRef) and item.parts:
+                content = content_of(item.parts())
                 earlier = self._earlier(item.name, content)
-            read = earlier or self.read(item)
-        if isinstance(read, Outcome):
+            read = earlier or loop.load(item)
+        if not isinstance(read, Capture):
             return read
         if not content:
             content = _content_of_capture(read)
             earlier = self._earlier(read.name, content)
         return earlier or self.measure(read, content)
 
-    def _earlier(self, name: str, content: str) -> Outcome[CaptureRecord] | None:
+    def _earlier(self, name: str, content: str) -> CaptureRecord | None:
         """Return the record of a capture with this content, if it is complete."""
         record, picture = self._out.find(name), self._picture(name)
         if record is None or record.picture is None or record.key != f"{self.deciding} {content}":
             return None
-        is_lost = picture and not self._out.has(picture)
-        return None if is_lost else Outcome(record, record.failures)
+        return None if picture and not self._out.has(picture) else record
 
-    def measure(self, capture: Capture, content: str = "") -> Outcome[CaptureRecord]:
+    def measure(self, capture: Capture, content: str = "") -> CaptureRecord | Failure:
         """Measure a capture, and write its record and image."""
         content = content or _content_of_capture(capture)
         self.measurer.load()
         result = self.measurer.attempt(capture)
         failures, capture = list(result.failures), result.capture
         if result.error is not None:
-            return Outcome(None, tuple(failures))
-        picture = record = None
+            return failures[0]
+        picture = None
         with Boundary(failures, capture.source, capture.name):
             picture = self.draw(result)
         with Boundary(failures, capture.source, capture.name):
-            new = CaptureRecord(
+            record = CaptureRecord(
                 key=f"{self.deciding} {content}",
-                capture=capture_json(result, result.rows()),
+                capture=tables.capture_json(result, result.rows()),
                 failures=tuple(failures),
                 models=list(result.models),
                 picture=picture,
             )
-            self._out.write(
-                f"{RECORDS}/{capture.name}.json", new.as_text().encode(errors="surrogatepass")
-            )
-            record = new
-        return Outcome(record, tuple(failures))
+            text = record.as_text().encode(errors="surrogatepass")
+            self._out.write(f"{RECORDS}/{capture.name}.json", text)
+            return record
+        return failures[-1]
 
     def draw(self, result: CaptureResult) -> str:
         """Write the annotated image, and return its name in the folder; empty without one."""
-        import cv2
-
-        from cucumbervision.run.overlay import draw_overlay
-
         if name := self._picture(result.capture.name):
-            drawn = cv2.cvtColor(draw_overlay(result.capture, result.fruit), cv2.COLOR_RGB2BGR)
-            quality = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY] if self._overlays == "jpg" else []
-            self._out.write(name, cv2.imencode(f".{self._overlays}", drawn, quality)[1].tobytes())
+            drawn = draw_overlay(result.capture, result.fruit)
+            self._out.write(name, encoded(drawn, f".{self._overlays}", _JPEG_QUALITY))
         return name
 
     def _picture(self, name: str) -> str:
@@ -461,7 +435,9 @@ def content_of(parts: Iterable[Path | bytes]) -> str:
     digest = hashlib.sha256()
     try:
         for part in parts:
-            name, data = ("", part) if isinstance(part, bytes) else (part.name, read_bytes(part))
+            name, data = (
+                ("", part) if isinstance(part, bytes) else (part.name, files.read_bytes(part))
+            )
             digest.update(f"{len(data)} {name}\n".encode(errors="surrogatepass"))
             digest.update(data)
     except (CucumberVisionError, OSError):  # loading it raises the error
@@ -473,7 +449,7 @@ def _content_of_capture(capture: Capture) -> str:
     """Hash a capture without files of its own, such as a frame of a recording."""
     frame_numbers = [capture.frame, capture.burst_frame, capture.burst_size, capture.timestamp_s]
     camera = [vars(capture.intrinsics), vars(capture.stop), capture.source]
-    digest = hashlib.sha256(json.dumps(json_value([frame_numbers, camera])).encode())
+    digest = hashlib.sha256(json.dumps(files.json_value([frame_numbers, camera])).encode())
     for array in (capture.color, capture.depth_m, *capture.masks):
         digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()
@@ -488,30 +464,25 @@ def _measured(
 ) -> RunResult:
     started, options = datetime.now(UTC), measurer.options
     result = RunResult(out.path, failures=plugin_failures(measurer))
-    names: list[tuple[tuple[str, ...], int | None]] = []
-    note, labels = result.notes.append, label_file(options.instances)
-    listed = each_once(list_captures(inputs, options.reading, batch.opener, note), note)
+    note, labels = result.notes.append, loop.Labels(options.instances)
+    listed = loop.each_once(loop.list_captures(inputs, options.reading, say=note), note)
     worker = FolderWorker(measurer, out, batch.overlays)
-    for item, outcome in measure_all(
-        labelled_once(labels, listed), worker, batch.engine, batch.is_cancelled
+    for item, done in loop.measure_all(
+        labels.checked(listed), worker, batch.engine, batch.is_cancelled
     ):
-        record = outcome.value
-        if isinstance(item, Listed) and record is None and not outcome.failures:  # cancelled before
-            record = out.find(item.name)
-            if record is None or not record.key.startswith(worker.deciding):
+        if done is None and isinstance(item, CaptureRef):  # cancelled before its turn
+            done = out.find(item.name)
+            if done is None or not done.key.startswith(worker.deciding):
                 result.interrupted = True
                 continue
-        result.failures += outcome.failures
-        if record is not None:
-            result.add(record)
-            capture = record.capture
-            source = str(capture.get("source") or "")
-            names.append(((str(capture["name"]), source), capture.get("frame")))
-        if report is not None:
-            report(Outcome(record, outcome.failures))
-    if labels is not None:
-        with Boundary(result.failures, options.instances):
-            result.notes += instance_notes(labels, names)
+        if isinstance(done, CaptureRecord):
+            result.add(done)
+        elif done is not None:
+            result.failures.append(done)
+        if report is not None and done is not None:
+            report(done)
+    with Boundary(result.failures, options.instances):
+        result.notes += labels.notes()
     result.notes += result.summary.doubts()
     if not result.captures and out.has("measurements.csv"):
         result.notes.append(f"{out.path}: nothing was read, so its tables stay as they were")
@@ -536,7 +507,7 @@ def _write_tables(
     """Write the tables of a run; one that fails keeps its previous version and is a failure."""
     written: list[Failure] = []
     with Boundary(written, str(out.path)), out.replacing("measurements.csv") as path:
-        write_csv(path, [fruit_field.name for fruit_field in fields], result.each_row())
+        files.write_csv(path, [fruit_field.name for fruit_field in fields], result.each_row())
     with (
         Boundary(written, str(out.path)),
         out.replacing("measurements.json") as path,
@@ -545,14 +516,14 @@ def _write_tables(
         file.writelines(_json_pieces(provenance, result.records(), result.failures))
     with Boundary(written, str(out.path)), out.replacing("measurements.xlsx") as path:
         summary, failures = result.summary, len(result.failures)
-        lines = [*excel_limit(summary.fruit), *summary.lines(failures, provenance)]
-        write_workbook(path, result.each_row(), lines, fields=fields)
+        lines = [*tables.excel_limit(summary.fruit), *summary.lines(failures, provenance)]
+        tables.write_workbook(path, result.each_row(), lines, fields=fields)
     if parquet:
         with Boundary(written, str(out.path)):
             _write_parts(out, result.each_row(), provenance, fields)
     result.failures += written
     with Boundary(result.failures, str(out.path)), out.replacing("failures.csv") as path:
-        write_csv(path, FAILURE_COLUMNS, map(vars, result.failures))
+        files.write_csv(path, tables.FAILURE_COLUMNS, map(vars, result.failures))
 
 
 def _json_pieces(
@@ -588,7 +559,7 @@ def _write_parts(
     while (part := list(islice(rows, _PART_ROWS))) or not names:
         name = f"part-{len(names):05d}.parquet"
         with out.replacing(f"parquet/{name}") as path:
-            write_parquet(path, fields, part, provenance)
+            tables.write_parquet(path, fields, part, provenance)
         names.add(name)
     for old in (out.path / "parquet").glob("part-*.parquet"):
         if old.name not in names:
@@ -637,14 +608,14 @@ def deciding_sha256(
         del values["reading"][name]
     named = plugins("detectors") | plugins("segmenters")
     added = [*added, *(named[n] for n in (options.instances, options.segmenter) if n in named)]
-    files = [options.pose] if options.pose else []
+    paths = [options.pose] if options.pose else []
     if options.instances not in (*INSTANCE_SOURCES, *named):
-        files.append(Path(options.instances))
+        paths.append(Path(options.instances))
     if not all(plugin.version for plugin in added):
         values["run"] = uuid.uuid4().hex
     values |= {
         "calibration": site and site.sha256,
-        "files": [_path_sha256(path) for path in files],
+        "files": [_path_sha256(path) for path in paths],
         "networks": [registry.hashes(model.name) for model in registry.models],
         "plugins": [plugin.as_json() for plugin in added],
         "code": code_sha256(),
@@ -659,8 +630,8 @@ def _path_sha256(path: Path) -> str:
         raise CucumberVisionError("no such file", source=path, remedy="check the run's options")
     if path.is_file():
         return file_sha256(path)
-    files = sorted(file for file in path.rglob("*") if file.is_file())
-    named = [[file.relative_to(path).as_posix(), file_sha256(file)] for file in files]
+    members = sorted(file for file in path.rglob("*") if file.is_file())
+    named = [[file.relative_to(path).as_posix(), file_sha256(file)] for file in members]
     return hashlib.sha256(json.dumps(named).encode()).hexdigest()
 
 

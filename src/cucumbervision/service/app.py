@@ -6,7 +6,7 @@ import hmac
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -15,50 +15,27 @@ from pathlib import Path
 from typing import Annotated, Any, BinaryIO, Literal, TypeVar
 
 import anyio.from_thread
+import prometheus_client
 from fastapi import FastAPI, File, Request, Response, UploadFile
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse, PlainTextResponse
-from prometheus_client import (
-    CONTENT_TYPE_LATEST,
-    CollectorRegistry,
-    Counter,
-    Histogram,
-    generate_latest,
-)
 from pydantic import BaseModel, Field
 from starlette.datastructures import Headers
 from starlette.exceptions import HTTPException
 
+from cucumbervision import errors
 from cucumbervision._version import __version__
 from cucumbervision.about import software
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.source import CaptureRef
 from cucumbervision.capture.uploads import Limits, accept_uploads, clean_name, require_few
-from cucumbervision.errors import (
-    AccessError,
-    CucumberVisionError,
-    FileError,
-    InternalError,
-    ModelError,
-    OutOfMemoryError,
-    named_error,
-)
 from cucumbervision.methods.result import FruitPose
-from cucumbervision.run.batch import (
-    Item,
-    Listed,
-    ResultWorker,
-    Worker,
-    list_source,
-    measure_all,
-    never,
-)
+from cucumbervision.run.batch import ResultWorker, list_source, never, results_of
 from cucumbervision.run.detect import DetectedPicture, PictureWorker, read_picture
 from cucumbervision.run.fields import FIELDS, row_model
 from cucumbervision.run.measurer import CaptureResult, Failure, Measurer
 from cucumbervision.service.requests import RequestError, bounded, check_source
 
-T = TypeVar("T")
 ReplyT = TypeVar("ReplyT", "MeasureReply", "DetectReply")
 Files = Annotated[
     list[UploadFile], File(description="One file or more, as for an upload.", min_length=1)
@@ -124,20 +101,20 @@ class DetectReply(BaseModel):
     failures: list[NotRead]
 
 
-class BusyError(CucumberVisionError):
+class BusyError(errors.CucumberVisionError):
     """Too many requests are waiting."""
 
 
-class LeftError(CucumberVisionError):
+class LeftError(errors.CucumberVisionError):
     """The client has closed the connection before its turn."""
 
 
 _STATUS = (
     (RequestError, 400),
-    (AccessError, 403),
-    ((BusyError, OutOfMemoryError), 503),
+    (errors.AccessError, 403),
+    ((BusyError, errors.OutOfMemoryError), 503),
     (LeftError, 499),
-    ((InternalError, FileError, ModelError), 500),
+    ((errors.InternalError, errors.FileError, errors.ModelError), 500),
 )
 
 
@@ -234,10 +211,10 @@ class Work:
                 list_source(upload.title, partial(upload.open, options.reading))
                 for upload in uploads.sources
             )
-            results, failures = _outcomes(listed, ResultWorker(self.measurer), has_left)
+            results, failures = results_of(listed, ResultWorker(self.measurer), has_left)
         refused = [Failure.of(error, error.source) for error in uploads.refused]
         return MeasureReply(
-            captures=[MeasuredCapture.of(result) for result in results if result.error is None],
+            captures=[MeasuredCapture.of(result) for result in results],
             failures=[NotRead.of(failure) for failure in (*refused, *failures)],
             ignored=uploads.ignored,
             config_sha256=options.sha256,
@@ -259,17 +236,9 @@ class Work:
             for k, (sent_name, stream) in enumerate(files):
                 name = clean_name(sent_name)
                 load = partial(_read, folder / f"{k:04d}", name, stream)
-                listed.append(Listed(name, CaptureRef(name, 0, load), name))
-            pictures, failures = _outcomes(listed, PictureWorker(self.measurer), has_left)
+                listed.append(CaptureRef(name, 0, load, input=name))
+            pictures, failures = results_of(listed, PictureWorker(self.measurer), has_left)
         return DetectReply(pictures=pictures, failures=[NotRead.of(x) for x in failures])
-
-
-def _outcomes(
-    listed: Iterable[Item], worker: Worker[T], has_left: Callable[[], bool]
-) -> tuple[list[T], list[Failure]]:
-    outcomes = [outcome for _, outcome in measure_all(listed, worker, is_cancelled=has_left)]
-    failures = [failure for outcome in outcomes for failure in outcome.failures]
-    return [outcome.value for outcome in outcomes if outcome.value is not None], failures
 
 
 def _read(path: Path, name: str, stream: BinaryIO) -> Capture:
@@ -277,7 +246,7 @@ def _read(path: Path, name: str, stream: BinaryIO) -> Capture:
     try:
         path.write_bytes(stream.read())
         return replace(read_picture(path, name), source=name)
-    except CucumberVisionError as error:
+    except errors.CucumberVisionError as error:
         raise error.at(name) from None
     finally:
         path.unlink(missing_ok=True)
@@ -287,11 +256,13 @@ class _Metrics:
     """The Prometheus metrics."""
 
     def __init__(self) -> None:
-        self.registry = CollectorRegistry()
-        counter = partial(Counter, namespace="cucumbervision", registry=self.registry)
+        self.registry = prometheus_client.CollectorRegistry()
+        counter = partial(
+            prometheus_client.Counter, namespace="cucumbervision", registry=self.registry
+        )
         self.requests = counter("requests", "Requests by path and status", ("path", "status"))
         self.results = counter("found", "Captures, images, fruit and failures", ("what",))
-        self.seconds = Histogram(
+        self.seconds = prometheus_client.Histogram(
             "cucumbervision_request_seconds",
             "Time of admitted requests, waiting included",
             ("path",),
@@ -338,7 +309,7 @@ def create_app(
     app = FastAPI(
         title="CucumberVision",
         version=__version__,
-        description="Measures greenhouse cucumbers from RGB-D pictures.",
+        description="Measures greenhouse cucumbers from RGB-D images.",
         docs_url=None,
         redoc_url=None,
         telemetry={"auto_configure": False, "tracing": False, "metrics": False, "logs": False},
@@ -356,7 +327,7 @@ def create_app(
 
     @app.post("/detect")
     def detect(request: Request, files: Files) -> DetectReply:
-        """Find cucumbers in plain pictures: boxes, masks and keypoints, no lengths."""
+        """Find cucumbers in plain images: boxes, masks and keypoints, no lengths."""
         return metrics.counted("pictures", work.detect(_streams(files), _has_left(request)))
 
     @app.get("/health")
@@ -367,13 +338,16 @@ def create_app(
     @app.get("/metrics", response_class=PlainTextResponse)
     def tell_metrics() -> Response:
         """Return the metrics for Prometheus."""
-        return Response(generate_latest(metrics.registry), media_type=CONTENT_TYPE_LATEST)
+        return Response(
+            prometheus_client.generate_latest(metrics.registry),
+            media_type=prometheus_client.CONTENT_TYPE_LATEST,
+        )
 
     async def failed(_: Request, error: Exception) -> Response:
         return problem(error)
 
     kinds: tuple[type[Exception], ...] = (HTTPException, RequestValidationError)
-    for kind in (*kinds, CucumberVisionError, MemoryError, OSError, Exception):
+    for kind in (*kinds, errors.CucumberVisionError, MemoryError, OSError, Exception):
         app.add_exception_handler(kind, failed)
     app.add_middleware(_Gate, work=work, metrics=metrics)
     return app
@@ -397,7 +371,7 @@ def problem(error: Exception, **headers: str) -> Response:
         faults = (f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}" for fault in error.errors())
         status, code, text = 422, "RequestError", "; ".join(faults)[:1000]
     else:
-        named = named_error(error)
+        named = errors.named_error(error)
         code, text = named.code, str(named)
         status = next((number for kind, number in _STATUS if isinstance(named, kind)), 422)
     if status == 503:
@@ -425,7 +399,7 @@ class _Gate:
 
         try:
             await self._admit(Headers(scope=scope), scope, receive, noting)
-        except (RequestError, AccessError, BusyError) as error:
+        except (RequestError, errors.AccessError, BusyError) as error:
             await problem(error, Connection="close")(scope, receive, noting)
         except HTTPException as error:
             await problem(error)(scope, receive, noting)

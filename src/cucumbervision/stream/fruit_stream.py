@@ -639,8 +639,7 @@ class FruitStream:
         if fruit.reason is not Choice.WAITING:
             track.measured_at, track.waiting = track.sighting, 0
         if length is not None:
-            site, at_m = self.measurer.site, track.sighting.at_m
-            scale_known = site is not None and site.depth_scale is not None
+            at_m, scale_known = track.sighting.at_m, self.measurer.scale_known
             track.length.add(length, at_m, partial=partial, scale_known=scale_known)
         of_all = track.length
         at_least_m = of_all.at_least_m if of_all.length is None else None

@@ -19,14 +19,8 @@ from cucumbervision.capture.frames import Capture, valid_depth
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.fruit.instance import Instance, visible_mask
 from cucumbervision.fruit.masks import mask_window
+from cucumbervision.methods import matching
 from cucumbervision.methods.intervals import SCALE_SD
-from cucumbervision.methods.matching import (
-    SURFACE_DEPTH_SD_M,
-    SURFACE_SD_M,
-    Crowd,
-    pooled_length,
-    position_ratio,
-)
 from cucumbervision.methods.result import (
     INTERVAL_Z,
     UNKNOWN_SD,
@@ -199,7 +193,7 @@ class TrackLength:
     def _pooled(self, latest: Length, scale: float) -> Length:
         means = np.exp([place.mean for place in self.places])
         deviations = np.sqrt([place.view_variance for place in self.places])
-        pooled = pooled_length(means, deviations, np.zeros(len(means), bool))
+        pooled = matching.pooled_length(means, deviations, np.zeros(len(means), bool))
         value, sd_m = pooled or (latest.value_m, UNKNOWN_SD * latest.value_m)
         spread = INTERVAL_Z * float(np.hypot(sd_m / value, scale))
         middle = value * float(np.exp(self._shift))
@@ -452,7 +446,9 @@ class Tracker:
             [track.at_m for track in self.tracks]
         ).reshape(-1, 1, 3)
         unseen_s = np.array([(self._at_s or 0.0) - track.seen_s for track in self.tracks])
-        spread = np.array([SURFACE_SD_M, SURFACE_SD_M, SURFACE_DEPTH_SD_M])
+        spread = np.array(
+            [matching.SURFACE_SD_M, matching.SURFACE_SD_M, matching.SURFACE_DEPTH_SD_M]
+        )
         variance = 2 * spread**2 + (_DRIFT_M_S * unseen_s[:, None, None]) ** 2
         crowd = _crowd(sightings, camera)
         shift_m = _likeliest_shift(gap, variance, crowd, predicted, reach_m)
@@ -482,14 +478,14 @@ class Tracker:
             self._speed_m_s = np.median(gaps_m, axis=0) / elapsed_s
 
 
-def _crowd(sightings: Sequence[Sighting], camera: Intrinsics) -> Crowd:
+def _crowd(sightings: Sequence[Sighting], camera: Intrinsics) -> matching.Crowd:
     """Return the density of other fruit in a frame."""
     depths_m = np.array([sighting.at_m[2] for sighting in sightings])
     far_m = (
         float(np.median(depths_m[np.isfinite(depths_m)])) if np.isfinite(depths_m).any() else 0.6
     )
     across_m, up_m = far_m * camera.width / camera.fx_px, far_m * camera.height / camera.fy_px
-    return Crowd(
+    return matching.Crowd(
         per_m=max(len(sightings), 1) / across_m,
         up_m=up_m,
         depth_m=0.3,
@@ -498,15 +494,15 @@ def _crowd(sightings: Sequence[Sighting], camera: Intrinsics) -> Crowd:
     )
 
 
-def _place_ratio(gap_m: Array, variance_m2: Array, crowd: Crowd, unknown: float) -> Array:
+def _place_ratio(gap_m: Array, variance_m2: Array, crowd: matching.Crowd, unknown: float) -> Array:
     """Return the log ratio of positions; `unknown` if one of the two is NaN."""
     is_located: Mask = np.asarray(np.isfinite(gap_m).all(axis=-1))
-    ratio = position_ratio(np.where(is_located[..., None], gap_m, 0.0), variance_m2, crowd)
+    ratio = matching.position_ratio(np.where(is_located[..., None], gap_m, 0.0), variance_m2, crowd)
     return np.asarray(np.where(is_located, ratio, unknown))
 
 
 def _likeliest_shift(
-    gap_m: Array, variance_m2: Array, crowd: Crowd, predicted_m: Array, reach_m: float
+    gap_m: Array, variance_m2: Array, crowd: matching.Crowd, predicted_m: Array, reach_m: float
 ) -> Array:
     """Return the shift of all fruit in camera coordinates, shape (3,).
 
@@ -521,5 +517,5 @@ def _likeliest_shift(
     score = gain.sum(axis=1) - 0.5 * np.square(off).sum(axis=1)
     best = tried[int(score.argmax())]
     # Average the agreeing differences: a single pair's has its own error.
-    agreeing = gaps[np.linalg.norm(gaps - best, axis=1) < 3 * SURFACE_DEPTH_SD_M]
+    agreeing = gaps[np.linalg.norm(gaps - best, axis=1) < 3 * matching.SURFACE_DEPTH_SD_M]
     return np.asarray(agreeing.mean(axis=0) if len(agreeing) else best)

@@ -130,7 +130,7 @@ def add(
         progress_bar(Console(stderr=True, highlight=False)) as bar,
         stopping_gently() as is_cancelled,
     ):
-        total = count_captures(captures, options.reading, loop.opener)
+        total = count_captures(captures, options.reading)
         step = partial(bar.advance, bar.add_task("measuring", total=total))
         options = with_limits(options, round_summary)
         loop = replace(loop, is_cancelled=is_cancelled)

@@ -27,15 +27,7 @@ from cucumbervision.fruit.instance import Instance, MaskSource
 from cucumbervision.fruit.mask_codes import decode_rle, encode_rle
 from cucumbervision.fruit.masks import box_ious
 from cucumbervision.methods.result import Fruit, Measurement
-from cucumbervision.run.batch import (
-    Item,
-    Listed,
-    LoopOptions,
-    Outcome,
-    ResultWorker,
-    measure_all,
-    read_captures,
-)
+from cucumbervision.run.batch import Item, LoopOptions, ResultWorker, measure_all, read_captures
 from cucumbervision.run.fields import stored_row
 from cucumbervision.run.measurer import Boundary, CaptureResult, Failure, Measurer
 from cucumbervision.run.options import GRAVITY_BY_EDGE, MeasureOptions
@@ -186,14 +178,14 @@ class Added:
     note: str = ""
 
 
-@dataclass(frozen=True, eq=False)
-class RoundCapture(Listed):
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RoundCapture(CaptureRef):
     """A capture on its way into a round.
 
     Parameters
     ----------
-    input, ref, name
-        As in `Listed`.
+    name, frame, load, location, parts, input
+        As in `CaptureRef`.
     stop : StopRecord
         The stop that it is or will be, as far as it is known before it is measured.
     is_deleted : bool, optional
@@ -230,17 +222,17 @@ class RoundCapture(Listed):
         """
         key = key_of(round_key, capture.name, capture_sha256(capture))
         stop = (place or Place()).stop(capture, key, round_key, number)
-        return cls(**vars(Listed.of(capture)), stop=stop, is_deleted=store.stop_is_deleted(key))
+        return cls.of(capture, stop=stop, is_deleted=store.stop_is_deleted(key))
 
 
 class _New(ResultWorker):
     """Measures captures that are new in a round."""
 
-    def read(self, item: Item) -> Outcome[CaptureResult] | Capture:
-        """Read a capture, unless the round has it, deleted or not."""
+    def __call__(self, item: Item) -> CaptureResult | Failure | None:
+        """Measure a capture, unless it is in the round or was deleted from it."""
         if isinstance(item, RoundCapture) and item.is_deleted is not None:
-            return Outcome()
-        return super().read(item)
+            return None
+        return super().__call__(item)
 
 
 def add_captures(
@@ -288,7 +280,7 @@ def add_captures(
     measurer, done, loop = Measurer(options), list[Added](), loop or LoopOptions()
 
     def items() -> Iterator[RoundCapture | Failure]:
-        for number, read in enumerate(read_captures(inputs, options.reading, loop.opener)):
+        for number, read in enumerate(read_captures(inputs, options.reading)):
             if isinstance(read, Failure):
                 yield read
                 continue
@@ -298,19 +290,19 @@ def add_captures(
             yield from failures
 
     captures = measure_all(items(), _New(measurer), loop.engine, loop.is_cancelled)
-    for item, outcome in captures:
-        failures, result = list(outcome.failures), outcome.value
-        added = None
-        if isinstance(item, RoundCapture) and (result or item.is_deleted is not None):
-            with Boundary(failures := [], item.input, item.name):
+    for item, result in captures:
+        failures, added = [result] if isinstance(result, Failure) else [], None
+        if isinstance(item, RoundCapture) and not isinstance(result, Failure):
+            if result is None and item.is_deleted is None:  # stopped before its turn
+                continue
+            with Boundary(failures, item.input, item.name):
                 added = _added(store, item, result, measurer)
         if failures:
             added = Added(failures[0].capture or failures[0].input, failure=failures[0])
-        if added is None:  # stopped before its turn
-            continue
-        done.append(added)
-        if report is not None:
-            report(added)
+        if added is not None:
+            done.append(added)
+            if report is not None:
+                report(added)
     return done
 
 
@@ -324,8 +316,6 @@ def _added(
     CucumberVisionError
         If nothing was measured, its place is taken, or it cannot be saved.
     """
-    if result is not None and result.error is not None:
-        raise result.error
     # The same capture may be given twice.
     if result is None or store.stop_is_deleted(item.stop.key) is not None:
         return Added(item.name, item.stop.key, deleted=bool(item.is_deleted))
@@ -584,20 +574,20 @@ def measure_round_again(
     for view in store.detections(old.key, shapes=True):
         views[view.stop_key].append(view)
 
-    def items() -> Iterator[Listed]:
+    def items() -> Iterator[CaptureRef]:
         for key, stop in stops.items():
             for capture in stop.captures:
                 load = partial(_uncalibrated, store, capture, stop, views[key], options)
-                yield Listed(key, CaptureRef(capture.name, capture.frame or 0, load), capture.name)
+                yield CaptureRef(capture.name, capture.frame or 0, load, input=key)
 
     again: dict[str, list[CaptureResult]] = {}
-    for item, outcome in measure_all(
+    for item, result in measure_all(
         items(), ResultWorker(measurer), loop.engine, loop.is_cancelled
     ):
-        if outcome.value is None or outcome.value.error is not None:
-            failures += outcome.failures
-        else:
-            again.setdefault(item.input, []).append(outcome.value)
+        if isinstance(result, Failure):
+            failures.append(result)
+        elif result is not None:
+            again.setdefault(item.input, []).append(result)
         if report is not None:
             report(len(again), len(stops))
     if failures or len(again) < len(stops):

@@ -4,29 +4,22 @@ from __future__ import annotations
 
 import errno
 import os
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from cucumbervision.capture.camera_file import read_camera_file
+from cucumbervision.capture.camera_file import CameraFile, read_camera_file
+from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.readers.native import MANIFEST
 from cucumbervision.capture.readers.pair import is_half_a_pair, open_pair_file, tum_lists
 from cucumbervision.capture.readers.recording import open_recording
+from cucumbervision.capture.source import CaptureEntry, CaptureLister, CaptureSource, Folder, fail
 from cucumbervision.capture.source import CaptureRef as CaptureRef
-from cucumbervision.capture.source import CaptureSource, Folder, fail
 from cucumbervision.capture.source import ReadOptions as ReadOptions
 from cucumbervision.errors import CaptureError, PluginError, with_reason
 from cucumbervision.files import as_path, is_remote, with_retries
-from cucumbervision.plugins import Plugin, plugins
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from cucumbervision.capture.camera_file import CameraFile
-    from cucumbervision.capture.frames import Capture
-    from cucumbervision.capture.source import CaptureEntry, CaptureLister
-    from cucumbervision.plugins import Reader
+from cucumbervision.plugins import Plugin, Reader, plugins
 
 RECORDING_SUFFIXES = frozenset({".bag", ".db3"})
 
@@ -47,10 +40,10 @@ def open_source(
     ----------
     path : Path or str
         A path, or a URL that `urls.as_path` knows: a folder in which a reader
-        finds captures, one colour picture with `options.depth`, or, on this machine, a `.bag` or
+        finds captures, one colour image with `options.depth`, or, on this machine, a `.bag` or
         `.db3` recording.
     options : ReadOptions, optional
-        Intrinsics, depth picture, depth unit and burst length.
+        Intrinsics, depth image, depth unit and burst length.
     readers : sequence of Reader
         Readers of your own, which see a folder before those of the package. Installed ones of other
         packages see what the package's own readers leave.

@@ -6,27 +6,23 @@ The format is that of the BOP benchmark (Hodaň et al. 2018); `scene_gt.json` is
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pydantic import BaseModel, Field
 
+from cucumbervision.capture import source as sources
+from cucumbervision.capture.camera_file import CameraFile
+from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.capture.pictures import COLOR_SUFFIXES, read_color, read_depth, read_masks
 from cucumbervision.capture.readers.common import frame_capture
-from cucumbervision.capture.source import fail, safe_name
 from cucumbervision.errors import CaptureError, IntrinsicsError, as_errors_of
 from cucumbervision.files import parse_model, read_json
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
-
-    from cucumbervision.capture.camera_file import CameraFile
-    from cucumbervision.capture.frames import Capture
-    from cucumbervision.capture.source import CaptureEntry, CaptureLister, Folder, ReadOptions
 
 SCENE_CAMERAS = "scene_camera.json"
 _PARTS = ("rgb", "depth", "mask_visib")
@@ -37,7 +33,7 @@ class _FrameCamera(BaseModel):
     depth_scale: float = Field(default=1.0, gt=0)
 
 
-def find_scenes(folder: Folder) -> CaptureLister | None:
+def find_scenes(folder: sources.Folder) -> sources.CaptureLister | None:
     """Find BOP scenes; given intrinsics replace `cam_K`, a given depth unit `depth_scale`."""
     scenes = folder.take(SCENE_CAMERAS, *_PARTS)
     return partial(_open_scenes, folder.path, scenes) if scenes else None
@@ -46,28 +42,28 @@ def find_scenes(folder: Folder) -> CaptureLister | None:
 def _open_scenes(
     path: Path,
     scenes: Mapping[str, Mapping[str, list[str]]],
-    options: ReadOptions,
+    options: sources.ReadOptions,
     camera_file: CameraFile | None,
-) -> Iterator[CaptureEntry]:
+) -> Iterator[sources.CaptureEntry]:
     for scene_path, names in scenes.items():
         scene = path / scene_path
         files = {kind: _by_image(scene / kind, names[kind]) for kind in _PARTS}
         if not any(files.values()):
             remedy = "check the scene's folder"
             raise CaptureError("has no images in rgb/", source=scene, remedy=remedy)
-        prefix = safe_name("_".join((path.resolve().name, *Path(scene_path).parts)))
+        prefix = sources.safe_name("_".join((path.resolve().name, *Path(scene_path).parts)))
         cameras, fault = dict[str, Any](), None
         try:
             file = scene / SCENE_CAMERAS
             cameras = parse_model(dict[str, Any], read_json(file), source=file)
         except CaptureError as error:
             fault = error  # other scenes of the data set can still be loaded
-        # A mask or depth picture without a colour picture is reported as a broken frame.
+        # A mask or depth image without a colour image is reported as a broken frame.
         for number in sorted(set().union(*files.values())):
             pictures = {kind: numbered.get(number, []) for kind, numbered in files.items()}
             entry = None if fault else cameras.get(str(number))
             image = _Image(scene, number, pictures, entry, camera_file, options)
-            load = partial(fail, fault) if fault else image.load
+            load = partial(sources.fail, fault) if fault else image.load
             yield f"{prefix}_{number:06d}", number, load, scene / f"rgb/{number:06d}", image.parts
 
 
@@ -89,7 +85,7 @@ class _Image:
     files: Mapping[str, list[Path]]
     camera: Any
     camera_file: CameraFile | None
-    options: ReadOptions
+    options: sources.ReadOptions
 
     def parts(self) -> list[Path | bytes]:
         """Return the inputs of the image, including only its own camera entry."""

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from cucumbervision.arrays import Array32, Numbers, Pixels
+from cucumbervision.capture import pictures
 from cucumbervision.capture.camera_file import CameraFile, read_camera_file
 from cucumbervision.capture.frames import Capture, Doubt, depth_along_axis
 from cucumbervision.capture.intrinsics import (
@@ -19,12 +20,6 @@ from cucumbervision.capture.intrinsics import (
     Stream,
     align_depth_to_color,
     check_intrinsics,
-)
-from cucumbervision.capture.pictures import (
-    COLOR_SUFFIXES,
-    depth_to_metres,
-    enlarge_depth,
-    require_readings,
 )
 from cucumbervision.capture.source import Folder, ReadOptions
 from cucumbervision.errors import CaptureError, IntrinsicsError, wrap_reader_errors
@@ -38,7 +33,7 @@ _CAMERA_NAME = re.compile(
 _CAMERA_WORD = re.compile(
     r"intrinsics?|camera|cam|k|camk|calib(ration)?|info|colou?r|rgb|depth|aligned|to|matrix|params?"
 )
-_PICTURES = tuple(COLOR_SUFFIXES)
+_PICTURES = tuple(pictures.COLOR_SUFFIXES)
 _Words = tuple[str, ...]
 _RECTIFIED, _RAW = (
     re.compile(rf"(?<![a-z]){word}(?![a-z])", re.IGNORECASE) for word in ("rect(ified)?", "raw")
@@ -60,7 +55,7 @@ def choose_intrinsics(
     """Return the given intrinsics if they pass the check, otherwise those of the source.
 
     If colour is aligned to depth, these are the intrinsics of the depth camera, whose pixels both
-    pictures have.
+    images have.
 
     Raises
     ------
@@ -99,7 +94,7 @@ def choose_intrinsics(
 def _of_raw_or_rectified(
     camera_file: CameraFile, rectified: Intrinsics, source: object
 ) -> Intrinsics:
-    """Return the intrinsics of the pictures, which are rectified or raw by their names."""
+    """Return the intrinsics of the images, which are rectified or raw by their names."""
     raw = camera_file.intrinsics
     name = f"{source} {camera_file.path.name}"
     if _RECTIFIED.search(name):
@@ -124,7 +119,7 @@ def no_intrinsics(source: object) -> CaptureError:
 
 
 def require_same_size(color: Numbers, depth: Numbers, *, source: Path) -> None:
-    """Raise an error if the sizes of depth and colour picture differ.
+    """Raise an error if the sizes of depth and colour image differ.
 
     Raises
     ------
@@ -155,10 +150,10 @@ def frame_capture(
     depth_camera: Intrinsics | None = None,
     **capture_fields: Any,
 ) -> Capture:
-    """Create a capture from a colour and a depth picture.
+    """Create a capture from a colour and a depth image.
 
     Depth is aligned to colour if the intrinsics file has `depth` and `depth_to_color`, unless the
-    pictures are declared as aligned. Otherwise depth must have the size of the colour picture, or,
+    images are declared as aligned. Otherwise depth must have the size of the colour image, or,
     if it is declared as aligned to colour, the same aspect ratio.
 
     Parameters
@@ -193,7 +188,7 @@ def frame_capture(
     intrinsics = choose_intrinsics(
         frame_intrinsics, camera_file, width, height, aligned_to=aligned_to, source=source
     )
-    depth_m = depth_to_metres(read_raw(), options.depth_unit_m, source=depth_source)
+    depth_m = pictures.depth_to_metres(read_raw(), options.depth_unit_m, source=depth_source)
     depth_model = camera_file.depth if camera_file else None
     camera = depth_model.intrinsics if depth_model else depth_camera
     doubts: tuple[Doubt, ...] = ()
@@ -212,10 +207,13 @@ def frame_capture(
             )
     else:
         if aligned_to is Stream.COLOR and _is_same_view(depth_m, width, height):
-            depth_m, doubts = enlarge_depth(depth_m, width, height), (Doubt.DEPTH_RESAMPLED,)
+            depth_m, doubts = (
+                pictures.enlarge_depth(depth_m, width, height),
+                (Doubt.DEPTH_RESAMPLED,),
+            )
         require_same_size(color, depth_m, source=depth_source)
         depth_m = depth_along_axis(depth_m, intrinsics) if along is DepthAlong.RAY else depth_m
-    require_readings(depth_m, source=depth_source)
+    pictures.require_readings(depth_m, source=depth_source)
     return Capture(color, depth_m, intrinsics, source=str(source), doubts=doubts, **capture_fields)
 
 
@@ -226,9 +224,9 @@ def _is_same_view(depth_m: Array32, width: int, height: int) -> bool:
 
 
 class CameraFinder:
-    """Finds the intrinsics file of a picture, in its folder or the nearest parent folder.
+    """Finds the intrinsics file of an image, in its folder or the nearest parent folder.
 
-    A file whose name refers to certain pictures (`cam1_intrinsics.json` beside `cam1_color_1.png`
+    A file whose name refers to certain images (`cam1_intrinsics.json` beside `cam1_color_1.png`
     and `cam2_color_1.png`) belongs only to these. Of several other files, the native name has
     priority; the others must contain the same camera.
 
@@ -251,12 +249,12 @@ class CameraFinder:
         self._names, self._only = cache(self._begins_and_owners), cache(_only)
 
     def find(self, folder_path: str, picture: str = "") -> Path | None:
-        """Return the file of a picture, or of a subfolder; None without one.
+        """Return the file of an image, or of a subfolder; None without one.
 
         Raises
         ------
         IntrinsicsError
-            If several files could belong to the picture and differ.
+            If several files could belong to the image and differ.
         """
         words, others = _stem_words(picture), self._names(folder_path)[0]
         while True:

@@ -1,17 +1,19 @@
-"""Read and write native capture folders: `capture.json`, pictures and masks."""
+"""Read and write native capture folders: `capture.json`, images and masks."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path, PureWindowsPath
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import AfterValidator, Field
 
-from cucumbervision.capture.camera_file import CameraModel, StrictModel
+from cucumbervision.arrays import Array, Array32, Pixels
+from cucumbervision.capture.camera_file import CameraFile, CameraModel, StrictModel
 from cucumbervision.capture.frames import Capture, FusedBurst, Stop, depth_along_axis, fuse_burst
 from cucumbervision.capture.intrinsics import MASKS, DepthAlong
 from cucumbervision.capture.pictures import (
@@ -24,16 +26,9 @@ from cucumbervision.capture.pictures import (
     write_png,
 )
 from cucumbervision.capture.readers.common import choose_intrinsics, require_same_size
-from cucumbervision.capture.source import fail
+from cucumbervision.capture.source import CaptureEntry, CaptureLister, Folder, ReadOptions, fail
 from cucumbervision.errors import CaptureError, as_errors_of, wrap_os_errors
 from cucumbervision.files import json_value, parse_model, read_json, write_bytes
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from cucumbervision.arrays import Array, Array32, Pixels
-    from cucumbervision.capture.camera_file import CameraFile
-    from cucumbervision.capture.source import CaptureEntry, CaptureLister, Folder, ReadOptions
 
 FORMAT = "cucumbervision-capture"
 
@@ -206,7 +201,7 @@ def write_native(
     folder : Path
         Output folder; created if missing, must not contain a capture.
     burst : sequence of (color, depth_m), optional
-        Frames of the burst, written instead of the fused picture and fused again when read: colour
+        Frames of the burst, written instead of the fused image and fused again when read: colour
         uint8 (H, W, 3), depth float32 (H, W) in metres.
     timestamps_s : sequence of float, optional
         Timestamps of the frames, seconds since the epoch.

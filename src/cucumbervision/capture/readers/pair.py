@@ -1,26 +1,21 @@
-"""Read colour and depth pictures with matching names."""
+"""Read colour and depth images with matching names."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
+from pathlib import Path
 from unicodedata import normalize
 
+from cucumbervision.capture import source as sources
 from cucumbervision.capture.camera_file import CameraFile, read_camera_file
+from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.pictures import COLOR_SUFFIXES, DEPTH_SUFFIXES, read_color, read_depth
 from cucumbervision.capture.readers.common import CameraFinder, frame_capture, no_intrinsics
-from cucumbervision.capture.source import CaptureSource
 from cucumbervision.errors import CaptureError, IntrinsicsError
 from cucumbervision.files import read_head
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-    from pathlib import Path
-
-    from cucumbervision.capture.frames import Capture
-    from cucumbervision.capture.source import CaptureEntry, CaptureLister, Folder, ReadOptions
 
 _COLOR_WORD = re.compile(r"colou?r|rgb", re.IGNORECASE)
 _DEPTH_WORD = re.compile(r"depth", re.IGNORECASE)
@@ -35,9 +30,9 @@ class Pair:
     Parameters
     ----------
     color, depth : Path, optional
-        The pictures.
+        The images.
     camera : Path, optional
-        Nearest intrinsics file, in the folder of the colour picture or above.
+        Nearest intrinsics file, in the folder of the colour image or above.
     fault : CaptureError, optional
         Why no intrinsics file can be chosen.
     """
@@ -48,7 +43,7 @@ class Pair:
     fault: CaptureError | None = None
 
     def load(
-        self, frame: int, camera: CameraFile | CaptureError, options: ReadOptions, name: str
+        self, frame: int, camera: CameraFile | CaptureError, options: sources.ReadOptions, name: str
     ) -> Capture:
         """Read the frame."""
         if self.color is None or self.depth is None:
@@ -72,7 +67,7 @@ class Pair:
         )
 
 
-def find_pairs(folder: Folder) -> CaptureLister | None:
+def find_pairs(folder: sources.Folder) -> sources.CaptureLister | None:
     """Find the frames of `match_pairs`, and mark their files as used."""
     pairs = match_pairs(folder)
     taken = {file for pair in pairs for file in (pair.color, pair.depth)}
@@ -81,8 +76,8 @@ def find_pairs(folder: Folder) -> CaptureLister | None:
     return partial(_open_pairs, folder.path, pairs) if pairs else None
 
 
-def tum_lists(folder: Folder) -> dict[str, str]:
-    """Return the lists of TUM sequences by folder; pictures below them are no pairs."""
+def tum_lists(folder: sources.Folder) -> dict[str, str]:
+    """Return the lists of TUM sequences by folder; images below them are no pairs."""
     return {
         folder_path: name
         for folder_path, names in folder.files.items()
@@ -91,13 +86,13 @@ def tum_lists(folder: Folder) -> dict[str, str]:
     }
 
 
-def match_pairs(folder: Folder) -> list[Pair]:
-    """Pair the pictures of a folder by name.
+def match_pairs(folder: sources.Folder) -> list[Pair]:
+    """Pair the images of a folder by name.
 
     Names match if they are equal except for the words 'color', 'colour', 'rgb' and 'depth':
     `rgb_7.png` and `depth_7.png`, `color/7.jpg` and `depth/7.npy`, `7_color_depth.npy` and
-    `7_color.png`, or plain `7.png` and `7_depth.npy`. An unmatched picture becomes a pair with a
-    missing part, so that it is reported; unmatched 8-bit 'depth' pictures are ignored. Without any
+    `7_color.png`, or plain `7.png` and `7_depth.npy`. An unmatched image becomes a pair with a
+    missing part, so that it is reported; unmatched 8-bit 'depth' images are ignored. Without any
     complete pair, the result is empty.
     """
     colors, depths = _by_role(folder)
@@ -117,11 +112,11 @@ def match_pairs(folder: Folder) -> list[Pair]:
     return pairs
 
 
-def _by_role(folder: Folder) -> tuple[dict[str, str], dict[str, str]]:
-    """Return the colour and the depth pictures by the key of their pair.
+def _by_role(folder: sources.Folder) -> tuple[dict[str, str], dict[str, str]]:
+    """Return the colour and the depth images by the key of their pair.
 
-    An 8-bit depth picture is replaced by any other one with the same key. A picture without a role
-    in its name is the colour of the depth picture with the same key.
+    An 8-bit depth image is replaced by any other one with the same key. An image without a role
+    in its name is the colour of the depth image with the same key.
     """
     colors: dict[str, str] = {}
     depths: dict[str, str] = {}
@@ -133,7 +128,7 @@ def _by_role(folder: Folder) -> tuple[dict[str, str], dict[str, str]]:
             depths[key] = name
         elif role == "color":
             colors.setdefault(key, name)
-        elif role == "picture":
+        elif role == "image":
             plain.setdefault(key, name)
     return {key: name for key, name in plain.items() if key in depths} | colors, depths
 
@@ -141,7 +136,7 @@ def _by_role(folder: Folder) -> tuple[dict[str, str], dict[str, str]]:
 def _pair_role(name: str) -> tuple[str, str]:
     """Return the role of a file by its name, and the key of its pair.
 
-    The role is 'depth', 'color', 'picture' if no name has one, or '' for other files. The file's
+    The role is 'depth', 'color', 'image' if no name has one, or '' for other files. The file's
     own name decides, then its folder's, then those above. The key is what remains without the
     words of the roles; it is the same for two files only if every other letter and sign is.
 
@@ -155,10 +150,10 @@ def _pair_role(name: str) -> tuple[str, str]:
     stem, dot, ending = name.rpartition(".")
     suffix = f"{dot}{ending}".lower()
     parts = normalize("NFC", stem).split("/")
-    role = next((role for part in reversed(parts) if (role := _role_of(part))), "picture")
+    role = next((role for part in reversed(parts) if (role := _role_of(part))), "image")
     if role == "depth" and suffix not in DEPTH_SUFFIXES:
-        role = "" if suffix not in COLOR_SUFFIXES else "picture"
-    if role in ("color", "picture") and suffix not in COLOR_SUFFIXES:
+        role = "" if suffix not in COLOR_SUFFIXES else "image"
+    if role in ("color", "image") and suffix not in COLOR_SUFFIXES:
         return "", ""
     return role, "/".join(filter(None, map(_without_roles, parts)))
 
@@ -197,7 +192,7 @@ def _separator(match: re.Match[str]) -> str:
 
 
 def is_half_a_pair(name: str) -> bool:
-    """Return whether a file is a colour or a depth picture by its name."""
+    """Return whether a file is a colour or a depth image by its name."""
     return _pair_role(name)[0] in ("color", "depth")
 
 
@@ -211,8 +206,8 @@ def _is_8_bit_png(path: Path) -> bool:
 
 
 def _open_pairs(
-    path: Path, pairs: Sequence[Pair], options: ReadOptions, camera_file: CameraFile | None
-) -> Iterator[CaptureEntry]:
+    path: Path, pairs: Sequence[Pair], options: sources.ReadOptions, camera_file: CameraFile | None
+) -> Iterator[sources.CaptureEntry]:
     cameras: dict[Path | None, CameraFile | CaptureError] = {None: no_intrinsics(path)}
     for file in {pair.camera for pair in pairs if pair.camera and not camera_file}:
         try:
@@ -229,13 +224,13 @@ def _open_pairs(
         yield picture.stem, frame, load, picture, partial(list, filter(None, files))
 
 
-def open_pair_file(path: Path, options: ReadOptions) -> CaptureSource:
-    """Open a colour picture with `options.depth`.
+def open_pair_file(path: Path, options: sources.ReadOptions) -> sources.CaptureSource:
+    """Open a colour image with `options.depth`.
 
     Raises
     ------
     CaptureError
-        If the file is no picture.
+        If the file is no image.
     IntrinsicsError
         If the intrinsics are missing or invalid.
     """
@@ -247,4 +242,6 @@ def open_pair_file(path: Path, options: ReadOptions) -> CaptureSource:
         raise CaptureError(fault, source=path, remedy=remedy)
     camera_file = read_camera_file(options.intrinsics) if options.intrinsics else None
     pairs = [Pair(path, options.depth)]
-    return CaptureSource.listed(path, "pair", _open_pairs(path, pairs, options, camera_file))
+    return sources.CaptureSource.listed(
+        path, "pair", _open_pairs(path, pairs, options, camera_file)
+    )

@@ -7,16 +7,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from cucumbervision.capture import realsense
 from cucumbervision.capture.camera_file import read_camera_file
 from cucumbervision.capture.intrinsics import DepthAlong, Intrinsics, Stream
 from cucumbervision.capture.readers.common import choose_intrinsics
-from cucumbervision.capture.realsense import (
-    AlignedFrame,
-    CameraConfig,
-    RealSenseCamera,
-    burst_capture,
-    import_realsense,
-)
 from cucumbervision.capture.source import CaptureRef, CaptureSource, ReadOptions, fail, safe_name
 from cucumbervision.errors import CaptureError
 
@@ -51,8 +45,8 @@ def open_recording(path: Path, options: ReadOptions) -> CaptureSource:
         fault = "a recording's depth is along the axis and is aligned to colour here"
         remedy = "leave out --depth-along and --aligned-to"
         raise CaptureError(fault, source=path, remedy=remedy)
-    import_realsense()
-    with RealSenseCamera(CameraConfig(playback=path, warm_up=0)) as stream:
+    realsense.import_realsense()
+    with realsense.RealSenseCamera(realsense.CameraConfig(playback=path, warm_up=0)) as stream:
         frame_intrinsics, device = stream.intrinsics, stream.device
     intrinsics = choose_intrinsics(
         frame_intrinsics, camera_file, frame_intrinsics.width, frame_intrinsics.height, source=path
@@ -69,9 +63,9 @@ def _refs(
     name = safe_name(path.stem)
     fault: CaptureError | None = None
     any_frame = False
-    with RealSenseCamera(CameraConfig(playback=path, warm_up=0)) as stream:
+    with realsense.RealSenseCamera(realsense.CameraConfig(playback=path, warm_up=0)) as stream:
         while fault is None:
-            frames: list[AlignedFrame] = []
+            frames: list[realsense.AlignedFrame] = []
             try:
                 stream.read_burst(frames, burst)
             except CaptureError as error:
@@ -82,7 +76,12 @@ def _refs(
             any_frame, number = True, frames[0].number
             capture_name, place = f"{name}_{number:06d}", f"{path} frame {number}"
             load = partial(
-                burst_capture, frames, intrinsics, capture_name, place=place, **capture_fields
+                realsense.burst_capture,
+                frames,
+                intrinsics,
+                capture_name,
+                place=place,
+                **capture_fields,
             )
             yield CaptureRef(capture_name, number, load, place)
     if fault is None and not any_frame:

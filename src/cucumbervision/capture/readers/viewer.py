@@ -6,33 +6,22 @@ an intrinsics file (`depth_to_color`).
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from cucumbervision.capture.camera_file import read_camera_file
+from cucumbervision import errors
+from cucumbervision.capture.camera_file import CameraFile, read_camera_file
+from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics, Stream
 from cucumbervision.capture.pictures import read_color
 from cucumbervision.capture.readers.common import CameraFinder, frame_capture
-from cucumbervision.capture.source import fail
-from cucumbervision.errors import (
-    CaptureError,
-    DepthError,
-    IntrinsicsError,
-    as_errors_of,
-    wrap_reader_errors,
-)
+from cucumbervision.capture.source import CaptureEntry, CaptureLister, Folder, ReadOptions, fail
 from cucumbervision.files import read_bytes
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-    from pathlib import Path
-
-    from cucumbervision.capture.camera_file import CameraFile
-    from cucumbervision.capture.frames import Capture
-    from cucumbervision.capture.source import CaptureEntry, CaptureLister, Folder, ReadOptions
 
 _RAW, _PICTURE, _TABLE = "_Depth.raw", "_Depth.png", "_Depth_metadata.csv"
 _YEAR_2001_MS = 1e12
@@ -43,8 +32,8 @@ _ENDINGS = (_COLOR, _RAW, _TABLE, _COLOR_TABLE, _PICTURE)
 def find_snapshots(folder: Folder) -> CaptureLister | None:
     """Find the snapshots of a folder.
 
-    A snapshot has raw depth (`.raw`) or its metadata. A colourised depth picture next to a colour
-    picture also counts, so that it is reported. The intrinsics file must have `depth_to_color`; its
+    A snapshot has raw depth (`.raw`) or its metadata. A colourised depth image next to a colour
+    image also counts, so that it is reported. The intrinsics file must have `depth_to_color`; its
     optional `depth` block takes precedence over the metadata.
     """
     snapshots: dict[str, Path | None] = {}
@@ -75,7 +64,7 @@ def _open_snapshots(
     for name, camera_path in snapshots.items():
         camera = camera_file or (cameras_by_path[camera_path] if camera_path else None)
         if camera is None or camera.depth_to_color is None:
-            raise IntrinsicsError(
+            raise errors.IntrinsicsError(
                 "RealSense Viewer exports depth as the depth camera sees it, not aligned to colour",
                 source=path if camera is None else camera.path,
                 remedy="give an intrinsics file with the colour camera and 'depth_to_color'",
@@ -83,7 +72,7 @@ def _open_snapshots(
         snapshot = _Snapshot(path / name, camera, options)
         try:
             frame = snapshot.table().frame
-        except CaptureError as error:
+        except errors.CaptureError as error:
             yield snapshot.base.name, 0, partial(fail, error), snapshot.base, snapshot.parts
         else:
             yield snapshot.base.name, frame, snapshot.load, snapshot.base, snapshot.parts
@@ -109,7 +98,7 @@ class _Snapshot:
         """Read its metadata; refuse a snapshot without raw depth."""
         raw, picture = self._file(_RAW), self._file(_PICTURE)
         if not raw.is_file() and picture.is_file():
-            raise DepthError(
+            raise errors.DepthError(
                 "is the Viewer's colourised picture of depth, which has no distances",
                 source=picture,
                 remedy=f"export the snapshot with its {raw.name}",
@@ -137,7 +126,7 @@ class _Snapshot:
 
 
 class _Table(NamedTuple):
-    """Metadata of one picture: size, intrinsics, number and time."""
+    """Metadata of one image: size, intrinsics, number and time."""
 
     intrinsics: Intrinsics
     format: str
@@ -146,14 +135,14 @@ class _Table(NamedTuple):
 
 
 def _read_metadata(path: Path, stream: Stream) -> _Table:
-    """Read the metadata file of a picture from RealSense Viewer.
+    """Read the metadata file of an image from RealSense Viewer.
 
     Parameters
     ----------
     path : Path
         `*_metadata.csv` with a key and a value per line.
     stream : Stream
-        Stream of the picture.
+        Stream of the image.
 
     Raises
     ------
@@ -168,7 +157,10 @@ def _read_metadata(path: Path, stream: Stream) -> _Table:
     lines = read_bytes(path).decode("utf-8", errors="replace").splitlines()
     fields = [line.split(",", 1) for line in lines if "," in line]
     values = {key.strip().lower(): value.strip() for key, value in fields}
-    with as_errors_of(path), wrap_reader_errors(path, CaptureError, "export it again"):
+    with (
+        errors.as_errors_of(path),
+        errors.wrap_reader_errors(path, errors.CaptureError, "export it again"),
+    ):
         width, height = (int(values[f"resolution {axis}"]) for axis in "xy")
         fx, fy, cx, cy = (float(values[key]) for key in ("fx", "fy", "ppx", "ppy"))
         intrinsics = Intrinsics(width, height, fx, fy, cx, cy, stream)
@@ -183,8 +175,8 @@ def _read_raw(path: Path, table: _Table) -> np.ndarray:
     width, height = table.intrinsics.size
     data, remedy = read_bytes(path), "export the snapshot again, with depth as Z16"
     if table.format and table.format.upper() != "Z16":
-        raise DepthError(f"holds {table.format}, not Z16", source=path, remedy=remedy)
+        raise errors.DepthError(f"holds {table.format}, not Z16", source=path, remedy=remedy)
     if len(data) != 2 * width * height:
         size = f"{width}x{height} of 16 bits are {2 * width * height}"
-        raise DepthError(f"has {len(data)} bytes, but {size}", source=path, remedy=remedy)
+        raise errors.DepthError(f"has {len(data)} bytes, but {size}", source=path, remedy=remedy)
     return np.frombuffer(data, "<u2").reshape(height, width)

@@ -94,7 +94,7 @@ class Plugin:
 
     @property
     def is_own(self) -> bool:
-        """Whether it is part of this package."""
+        """Whether the plug-in is part of the package `cucumbervision` itself."""
         return self.package == PACKAGE
 
     def as_json(self) -> dict[str, str]:

@@ -257,7 +257,7 @@ class CaptureSource:
 
 
 def fail(error: Exception, name: str = "") -> Capture:  # noqa: ARG001 - called as any loader
-    """Raise a deferred error."""
+    """Raise an error; the loader of a capture that was found to be unreadable when listed."""
     raise error
 
 

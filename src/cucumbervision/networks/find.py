@@ -134,7 +134,7 @@ class FruitLook:
 
 
 class FruitLooker(SmallNetwork):
-    """Looks at detected fruit.
+    """Network that gives outline, keypoints and a score for the crop of one detected fruit.
 
     Parameters and errors are those of `SmallNetwork`.
     """
@@ -180,7 +180,7 @@ class FruitLooker(SmallNetwork):
 
 @dataclass(eq=False)
 class PictureLooks:
-    """Looks at the fruit of one image, each mask once.
+    """Runs a `FruitLooker` on crops of the fruit of one image, once for each mask.
 
     Parameters
     ----------
@@ -193,7 +193,7 @@ class PictureLooks:
     focal_px : float, optional
         Focal length of the colour camera, pixels; without it depth is not shown.
     once : bool
-        Whether one look at each fruit is enough; see `FruitLooker.look`.
+        Whether the crops turned by half a turn are left out; see `FruitLooker.look`.
     """
 
     looker: FruitLooker
@@ -380,7 +380,7 @@ ERROR_SCALE = 0.02
 
 
 class EndLooker(SmallNetwork):
-    """Evaluates the ends of fruit.
+    """Network that classifies the end of a fruit in a crop: true, covered or running on.
 
     Parameters and errors are those of `SmallNetwork`.
     """

@@ -203,7 +203,7 @@ class Letterbox:
         return out
 
     def as_input(self, color_rgb: Pixels) -> Array32:
-        """Return the input (1, 3, input_height, input_width) of 0 to 1, red first."""
+        """Return the network's input, RGB from 0 to 1, shape (1, 3, input_height, input_width)."""
         return input_planes(self.apply(color_rgb)[None])
 
     def boxes_back(self, boxes: NDArray[np.floating]) -> Array:

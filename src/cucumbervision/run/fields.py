@@ -101,7 +101,7 @@ class Column:
 
 @dataclass(frozen=True)
 class Field(Column):
-    """A column, and the path to its value in a line (for the table of fruit: `_line`).
+    """A column, and the path to its value in the record of a row (of a fruit: `_line`).
 
     Parameters
     ----------

@@ -341,7 +341,7 @@ class Workbook:
             sheet.write_string(line, number, str(cell_value(cell)))
 
     def lines(self, sheet: Any, lines: Iterable[Sequence[Cell]], start: int = 0) -> None:
-        """Write lines of cells below each other."""
+        """Write rows of cells, one below the other, from the row `start` on."""
         for line, cells in enumerate(lines, start):
             for number, cell in enumerate(cells):
                 self.write(sheet, line, number, cell)

@@ -106,7 +106,7 @@ def check_source(headers: Headers, *, method: str = "GET", local: bool = False) 
 def bounded(
     receive: Receive, headers: Headers, most_bytes: int, *, body_s: float, silence_s: float
 ) -> Receive:
-    """Return a `receive` that limits the size and the time of a body, and refuses a cut-off form.
+    """Return a `receive` that limits size and time of a body, and rejects an incomplete form.
 
     Parameters
     ----------

@@ -28,8 +28,7 @@ VIEWER = "x-forwarded-email"
 """Header by which a proxy names the account that it logged in."""
 
 _DEVICE_S = 400 * 86400  # browsers keep no cookie longer
-_UPLOAD = "/_stcore/upload_file"
-_UNUSED = (_UPLOAD, "/_stcore/metrics", "/_stcore/agent", "/_stcore/script-health-check")
+_UNUSED = ("/_stcore/metrics", "/_stcore/agent", "/_stcore/script-health-check")
 _HEADERS = {
     "x-frame-options": "SAMEORIGIN",
     "content-security-policy": "frame-ancestors 'self'",

@@ -23,11 +23,8 @@ from typing import Any, TypeVar
 from cucumbervision.errors import CucumberVisionError, Message
 from cucumbervision.names import readable
 
-LANGUAGES = {"en": "English", "nl": "Nederlands", "es": "Español"}
-"""Languages of the pages by their codes; English is the source."""
-
-DRAFTS = frozenset({"nl", "es"})
-"""Languages whose texts no grower has checked."""
+LANGUAGES = {"en": "English", "nl": "Nederlands (concept)", "es": "Español (borrador)"}
+"""Languages of the pages by their codes; English is the source, others are drafts."""
 
 LOCALE = Path(__file__).with_name("locale")
 _IN_PAGES = re.compile(r'(=?)(?<![\w.])_\(("(?:[^"\\]|\\.)*")\)')  # in JavaScript and HTML

@@ -25,6 +25,7 @@ from cucumbervision_greenhouse.rounds.fruit_table import (
     RoundContent,
     along_rows,
     fruit_table,
+    least_sure_first,
     read_round,
     round_doubts,
 )
@@ -276,10 +277,6 @@ def read_ahead() -> None:
         today_of(round_summary)
 
 
-def doubtful(views: Sequence[records.FruitRow]) -> list[records.FruitRow]:
-    """Return unjudged fruit with a single view of low confidence."""
-    return [
-        view
-        for view in views
-        if view.views == 1 and view.verdict is None and view.score < _LOW_CONFIDENCE
-    ]
+def doubtful(fruit: Sequence[records.FruitRow]) -> list[records.FruitRow]:
+    """Return unjudged fruit with a single view of low confidence, the least certain first."""
+    return [view for view in least_sure_first(fruit) if view.score < _LOW_CONFIDENCE]

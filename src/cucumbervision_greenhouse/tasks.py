@@ -155,6 +155,6 @@ def _demonstrate(job: Job) -> None:
 
 
 def warm_up() -> Job:
-    """Load the networks before the first capture."""
+    """Load the networks before the first capture; no page waits for it."""
     work = partial(measurer().warm_up, settings().options)
-    return worker().submit(marked("Loading the networks"), lambda _: work())
+    return worker().submit(marked("Loading the networks"), lambda _: work(), None)

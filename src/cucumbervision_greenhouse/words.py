@@ -229,16 +229,16 @@ def clock_words(walked_s: float) -> str:
 
 
 def age_words(days: int) -> str:
-    """Return an age in days as text.
+    """Return the day of a measurement in words.
 
     Examples
     --------
     >>> age_words(0), age_words(1), age_words(4)
-    ('of today', 'of yesterday', '4 days old')
+    ('today', 'yesterday', '4 days ago')
     """
     if days < 2:
-        return _("of yesterday") if days == 1 else _("of today")
-    return counted(days, "{n} day old", "{n} days old")
+        return _("yesterday") if days == 1 else _("today")
+    return counted(days, "{n} day ago", "{n} days ago")
 
 
 def pick_words(pick: Pick) -> str:
@@ -458,14 +458,14 @@ def daily_growth_words(growth_m_per_day: float | None, units: Units) -> str:
 
 
 def count_words(expected: float) -> str:
-    """Return an expected number of fruit, to a tenth of a fruit.
+    """Return an expected number of fruit or kg: below 100 to a tenth.
 
     Examples
     --------
     >>> count_words(3.84), count_words(4.0), count_words(120.04)
     ('3.8', '4', '120')
     """
-    return decimal_words(f"{round(expected, 1):g}")
+    return decimal_words(f"{round(expected, int(expected < 100)):g}")
 
 
 def ready_words(ready: Ready) -> str:

@@ -245,7 +245,7 @@ def test_routes_of_streamlit_s_that_no_page_needs_are_closed(
     login: tuple[access.Login, str],
 ) -> None:
     cookie = f"{access.COOKIE}={access.cookie_of(TOKEN)}"
-    for path in ("metrics", "agent/openapi.json", "upload_file/eve/1"):
+    for path in ("metrics", "agent/openapi.json"):
         for base in ("", "/house"):
             asked = ask(login, f"{base}/_stcore/{path}", host="localhost", cookie=cookie)
             assert not asked[0]

@@ -264,39 +264,25 @@ class Feed:
             If the camera is absent or sends nothing in time.
         """
         reach_s = max(REACH_S, (burst - 1) / 2 / PREVIEW_FPS)
-
-        def away_s(frame: _Frame) -> float:
-            return abs(frame.at_s - pressed_s)
-
-        def nearest() -> list[_Frame]:
-            by_distance = sorted(self._ring.frames, key=away_s)
-            within = [frame for frame in by_distance if away_s(frame) <= reach_s]
-            return (within or by_distance[:1])[:burst]
-
-        def is_full() -> bool:  # no later frame can be nearer
-            frames = nearest()
-            enough_s = away_s(frames[-1]) if len(frames) == burst else reach_s
-            return bool(frames) and self._ring.frames[-1].at_s - pressed_s >= enough_s
-
-        def is_far() -> bool:
-            return min(map(away_s, self._ring.frames), default=math.inf) > FAR_S
-
         until_s = time.monotonic() + self._timeout_s + burst
         with self._changed:
             self._watch()
             is_late = time.time() - pressed_s > FAR_S
-            while not (is_late and is_far()) and not is_full():
+            while not (is_late or self._is_past(pressed_s + reach_s)):
                 if self._state == "absent" or time.monotonic() > until_s:
-                    if not is_far():  # the available frames are enough
-                        break
-                    if self._state == "absent":
-                        raise CameraError(self._message, remedy="try again")
-                    raise CameraError("the camera sends nothing", remedy="check its cable")
+                    break
                 self._changed.wait(_LOOK_S)
                 self._watch()
-            if is_far():
-                raise PictureGoneError
-            captures = [_copied(x.capture) for x in sorted(nearest(), key=lambda x: x.at_s)]
+            away_s = {frame: abs(frame.at_s - pressed_s) for frame in self._ring.frames}
+            nearest = [x for x in sorted(away_s, key=away_s.__getitem__) if away_s[x] <= FAR_S]
+            if not nearest:
+                if is_late or self._is_past(pressed_s):
+                    raise PictureGoneError
+                if self._state == "absent":
+                    raise CameraError(self._message, remedy="try again")
+                raise CameraError("the camera sends nothing", remedy="check its cable")
+            frames = [x for x in nearest if away_s[x] <= reach_s][:burst] or nearest[:1]
+            captures = [_copied(x.capture) for x in sorted(frames, key=lambda x: x.at_s)]
         if len(captures) == 1:
             return captures[0]
         fused = fuse_burst([x.color for x in captures], [x.depth_m for x in captures])
@@ -344,6 +330,10 @@ class Feed:
                     self._ring.put(capture, _taken_s(capture, time.time()))
                     self._tell(camera.state)
         return self._reopens
+
+    def _is_past(self, at_s: float) -> bool:
+        """Return whether the newest frame is of this moment or later."""
+        return bool(self._ring.frames) and self._ring.frames[-1].at_s >= at_s
 
     def _is_watched(self) -> bool:
         return time.monotonic() - self._watched_s < self._unwatched_s

@@ -10,6 +10,7 @@ import json
 import struct
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import asdict
 from functools import lru_cache
@@ -34,8 +35,8 @@ from cucumbervision_greenhouse import words as texts
 from cucumbervision_greenhouse.answers import Key, Sent, answer, store_of
 from cucumbervision_greenhouse.camera import cameras
 from cucumbervision_greenhouse.camera.cameras import Preview
-from cucumbervision_greenhouse.camera.shutter import Pressed, Shutter
-from cucumbervision_greenhouse.jobs import Job
+from cucumbervision_greenhouse.camera.shutter import Shutter, is_lost
+from cucumbervision_greenhouse.jobs import Job, fault_of
 from cucumbervision_greenhouse.language import (
     ask_for,
     counted,
@@ -49,6 +50,7 @@ from cucumbervision_greenhouse.rounds.walking import DEMONSTRATION, next_place, 
 from cucumbervision_greenhouse.store.marks import TAKE_BACK
 from cucumbervision_greenhouse.store.records import LogEntry, Round, StopRecord, Verdict
 from cucumbervision_greenhouse.store.repository import Store
+from cucumbervision_greenhouse.store.waiting import Waiting
 from cucumbervision_greenhouse.theme import style_sheet
 
 SentT = TypeVar("SentT", bound=Sent)
@@ -95,9 +97,9 @@ class SentUndo(Sent):
     That is its last press (the stop and the time), or a later action.
     """
 
+    round: Key
     stop: Key | None = None
     at_s: Moment | None = None
-    round: Key | None = None
 
 
 class SentPicture(Sent):
@@ -250,17 +252,12 @@ def _last_stop(round_summary: Round, last: StopRecord) -> dict[str, Any]:
 def _press(_store: Store, sent: SentPresses) -> dict[str, Any]:
     open_rounds = {round_summary.key for round_summary in resources.rounds()}
     # All at once, so that no press waits for the last frames of another.
-    taken = [_pressed(press, open_rounds) for press in sent.presses]
+    taken = [(press, _pressed(press, open_rounds)) for press in sent.presses]
     until_s = time.monotonic() + _PRESS_S
-    return {
-        "presses": [
-            {"number": press.number, **_outcome(pressed, until_s - time.monotonic())}
-            for press, pressed in zip(sent.presses, taken, strict=True)
-        ]
-    }
+    return {"presses": [_outcome(*pressed, until_s - time.monotonic()) for pressed in taken]}
 
 
-def _pressed(sent: SentPress, open_rounds: set[str]) -> Pressed | str | None:
+def _pressed(sent: SentPress, open_rounds: set[str]) -> Future[Waiting] | str | None:
     """Press the shutter; return the reason instead where a press is refused."""
     try:
         stop = Stop(sent.row.strip() or None, sent.side or None, sent.position_m)
@@ -278,32 +275,38 @@ def _begin(store: Store, sent: SentRound) -> dict[str, Any]:
     return {"round": record.key}
 
 
-def _outcome(pressed: Pressed | str | None, patience_s: float) -> dict[str, Any]:
+def _outcome(
+    sent: SentPress, queued: Future[Waiting] | str | None, patience_s: float
+) -> dict[str, Any]:
     """Return the outcome of a press, once it is saved or has failed.
 
     Parameters
     ----------
-    pressed : Pressed, str or None
+    sent : SentPress
+        The press.
+    queued : Future of Waiting, str or None
         As `Shutter.press` returned it; a text is the reason for a refusal.
     patience_s : float
         Longest wait; then the outcome is 'waiting', and the browser asks again.
     """
-    if pressed is None:  # saved before this program was started
-        return {"state": "saved", "words": _("Saved")}
-    if isinstance(pressed, str):
-        return {"state": "refused", "words": pressed}
+    outcome: dict[str, Any] = {"number": sent.number, "state": "saved", "words": _("Saved")}
+    if queued is None:  # saved before this program was started
+        return outcome
+    if isinstance(queued, str):
+        return outcome | {"state": "refused", "words": queued}
     try:
-        queued = pressed.queued.result(max(patience_s, 0.0))
-    except Exception:  # `error` is None while it is undecided
-        state = "refused" if pressed.is_lost else "waiting"
-        return {"state": state, "words": pressed.error, "lost": pressed.is_lost}
+        saved = queued.result(max(patience_s, 0.0))
+    except Exception:  # the fault is empty while it is undecided
+        lost = is_lost(queued)
+        state = "refused" if lost else "waiting"
+        return outcome | {"state": state, "words": fault_of(queued), "lost": lost}
     units = resources.settings().units
-    words = _("{stop}: saved").format(stop=texts.stop_name(queued.stop, units))
-    if queued.stop.position_m != pressed.stop.position_m:
+    words = _("{stop}: saved").format(stop=texts.stop_name(saved.stop, units))
+    if saved.stop.position_m != sent.position_m:
         taken = _("Another stop is already at {position}")
-        words += f". {taken.format(position=texts.position_words(pressed.stop.position_m, units))}"
-    where = {"stop": queued.key, "home": queued.round_key, "place": _place(queued.stop)}
-    return {"state": "saved", "words": words, **where}
+        words += f". {taken.format(position=texts.position_words(sent.position_m, units))}"
+    where = {"stop": saved.key, "home": saved.round_key, "place": _place(saved.stop)}
+    return outcome | {"words": words, **where}
 
 
 def _place(stop: Stop) -> dict[str, Any]:
@@ -320,25 +323,13 @@ def _take_back(store: Store, asked: SentUndo) -> dict[str, Any]:
     StoreError
         If there is nothing to undo, the stop does not exist, or is still being measured.
     """
-    home, pressed_s = asked.round or "", 0.0
-    if asked.stop is not None:
-        home, pressed_s = _round_and_time(store, asked.stop)
-    action = _last_action(store, home)
-    if action is not None and action.at_s > (asked.at_s or pressed_s):
-        tasks.undo(store, home, number=action.number)
+    action = _last_action(store, asked.round)
+    if action is not None and action.at_s > (asked.at_s or 0.0):
+        tasks.undo(store, asked.round, number=action.number)
         return {"words": texts.taken_back(action), "action": action.number}
     if asked.stop is None:
         raise StoreError("nothing to undo", remedy="delete a stop on the row map")
     return {"words": _delete_stop(store, asked.stop)}
-
-
-def _round_and_time(store: Store, stop: str) -> tuple[str, float]:
-    """Return the round of a measured or queued stop, and when it was taken."""
-    for queued in resources.waiting().captures():
-        if queued.key == stop:
-            return queued.round_key, queued.pressed_s
-    saved = store.stop(stop)
-    return saved.round_key, saved.taken_s
 
 
 def _last_action(store: Store, round_key: str) -> LogEntry | None:
@@ -407,30 +398,19 @@ def _add_fruit(store: Store, asked: SentFruit) -> dict[str, Any]:
     InstancesError
         If there is no fruit, it is another one, or it was found before.
     """
-    if asked.fruit is not None:
-        return _correct_fruit(store, asked, asked.fruit)
     record, capture = _picture_of(asked)
     options, measurer = resources.settings().options, resources.measurer()
 
-    def work(_: Job) -> str:
+    def work(_: Job) -> Any:
         mask = measurer.mask_of(capture, asked.point, asked.box)
-        return measurer.add(store, record, capture, mask, options)
+        if asked.fruit is None:
+            return measurer.add(store, record, capture, mask, options)
+        return measurer.correct(store, store.detection(asked.fruit), capture, mask, options)
 
-    key = _work(marked("Measuring the fruit"), record.round_key, work)
-    return {"words": texts.added_words(doubtful=store.detection(key).view.doubtful)}
-
-
-def _correct_fruit(store: Store, asked: SentFruit, key: str) -> dict[str, Any]:
-    detail = store.detection(key)
-    capture = round_view.capture_of(detail.stop, detail.capture)
-    options, measurer = resources.settings().options, resources.measurer()
-
-    def work(_: Job) -> int:
-        mask = measurer.mask_of(capture, asked.point, asked.box)
-        return measurer.correct(store, detail, capture, mask, options)
-
-    title = marked("Measuring with the new outline")
-    return {"action": _work(title, detail.view.round_key, work)}
+    measured = _work(marked("Measuring the fruit"), record.round_key, work)
+    if asked.fruit is not None:
+        return {"action": measured}
+    return {"words": texts.added_words(doubtful=store.detection(measured).view.doubtful)}
 
 
 def _picture_of(asked: SentPicture) -> tuple[StopRecord, Capture]:

@@ -7,7 +7,7 @@ import time
 from collections import OrderedDict
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from cucumbervision.capture.frames import Stop
 from cucumbervision_greenhouse.camera.cameras import Feed, FolderFeed, PictureGoneError
@@ -20,30 +20,9 @@ from cucumbervision_greenhouse.store.waiting import Waiting, WaitingCaptures
 _REMEMBERED = 2000  # presses that are remembered, since a browser may send them again
 
 
-@dataclass(frozen=True, eq=False)
-class Pressed:
-    """The outcome of a press.
-
-    Parameters
-    ----------
-    stop : Stop
-        Where it was pressed.
-    queued : Future of Waiting
-        The capture, once it is on disk.
-    """
-
-    stop: Stop
-    queued: Future[Waiting]
-
-    @property
-    def error(self) -> str:
-        """Why there is no capture; empty if there is one, or may be."""
-        return fault_of(self.queued)
-
-    @property
-    def is_lost(self) -> bool:
-        """Whether its picture is no longer held, so that it would be refused again."""
-        return self.queued.done() and isinstance(self.queued.exception(), PictureGoneError)
+def is_lost(queued: Future[Waiting]) -> bool:
+    """Return whether the image of a press is no longer held, so that it would be refused again."""
+    return queued.done() and isinstance(queued.exception(), PictureGoneError)
 
 
 class Shutter:
@@ -65,7 +44,7 @@ class Shutter:
         self._store, self._waiting, self._on_queued = store, waiting, on_queued
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="shutter")
         self._lock = threading.Lock()
-        self._pressed: OrderedDict[tuple[str, str], Pressed] = OrderedDict()
+        self._pressed: OrderedDict[tuple[str, str], Future[Waiting]] = OrderedDict()
 
     def press(
         self,
@@ -75,8 +54,8 @@ class Shutter:
         stop: Stop,
         number: str,
         at_s: float,
-    ) -> Pressed | None:
-        """Grab a burst for a press; return its outcome, or None if it was saved before.
+    ) -> Future[Waiting] | None:
+        """Grab a burst for a press; return its capture to come, or None if it was saved before.
 
         The same press sent again gets the same outcome and makes one stop. If the feed no longer
         holds its picture, the outcome is that error; after another fault, such as a full disk, it
@@ -102,16 +81,16 @@ class Shutter:
         key = key_of("press", *name)
         with self._lock:
             before = self._pressed.get(name)
-            if before is not None and (before.is_lost or not before.error):
+            if before is not None and (is_lost(before) or not fault_of(before)):
                 return before
             # Before this program was started.
             if self._waiting.holds(key) or self._store.stop_is_deleted(key) is not None:
                 return None
             queued = self._pool.submit(self._keep, feed, burst, round_key, stop, key, at_s)
-            self._pressed[name] = Pressed(stop, queued)
+            self._pressed[name] = queued
             while len(self._pressed) > _REMEMBERED:
                 self._pressed.popitem(last=False)
-            return self._pressed[name]
+            return queued
 
     def close(self) -> None:
         """Save all presses, then end."""

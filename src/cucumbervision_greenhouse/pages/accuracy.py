@@ -28,6 +28,7 @@ from cucumbervision_greenhouse.language import decimal_words, number_words, plai
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.pages import calibrations, page_elements
 from cucumbervision_greenhouse.pages.page_elements import component
+from cucumbervision_greenhouse.pages.round_choice import of_round
 from cucumbervision_greenhouse.round_view import RoundView
 from cucumbervision_greenhouse.rounds.fruit_table import fruit_table, read_round
 from cucumbervision_greenhouse.settings import Units, replace_text, truth_folder
@@ -38,7 +39,7 @@ from cucumbervision_greenhouse.words import LENGTH_NAMES, length_words, position
 _LINES = 30
 
 
-@page_elements.of_round
+@of_round
 def page(walk: RoundView) -> None:
     """Draw the page."""
     fruit = [view for view in walk.fruit if view.length_m is not None]
@@ -72,10 +73,10 @@ def _table(fruit: list[FruitRow], path: Path) -> None:
     units = resources.settings().units
     saved = hand_lengths(path, fruit)
     page_fruit = page_elements.first_of(fruit, "hand_page", _LINES)
-    kind = st.segmented_control(
+    kind = page_elements.choose(
+        st.segmented_control,
         _("Measured by hand"),
-        list(LengthDefinition),
-        format_func=lambda x: _(LENGTH_NAMES[x]),
+        {kind: _(words) for kind, words in LENGTH_NAMES.items()},
         default=LengthDefinition.CENTRELINE,
         required=True,
         help=_("Thread: laid over the outer side, from end to end. Chord: with calipers."),

@@ -30,8 +30,7 @@ from cucumbervision_greenhouse.pages import (
 from cucumbervision_greenhouse.settings import LOGIN_VARIABLE
 from cucumbervision_greenhouse.theme import THEME_STYLE
 
-# Streamlit drops the input of a closed page; these values are kept for its return.
-_KEPT_INPUTS = ("round", "color_by", "list_page", "pick_row")
+_IN_BAR = 4  # pages of the bar at the bottom of a phone; 'More' has the others
 _WITH_FRUIT = ("", "results")  # keyboard focus goes to their lists at once
 
 _ICON = Path(__file__).parents[1] / "camera/static/icon.svg"
@@ -53,7 +52,6 @@ def main() -> None:
         tasks.prepare()
         read_address()
         _draw_navigation(pages, chosen)
-        keep_inputs()
         page_elements.live()
         chosen.run()
         if chosen != pages[-1]:
@@ -66,9 +64,9 @@ def _pages() -> list[st.Page]:
     draw = [
         (marked("Today"), today.page, ":material/today:"),
         (marked("Capture"), _leave_for_capture, ":material/photo_camera:"),
-        (marked("Upload"), upload.page, ":material/upload:"),
         (marked("Results"), results.page, ":material/straighten:"),
         (marked("Row map"), row_map.page, ":material/map:"),
+        (marked("Upload"), upload.page, ":material/upload:"),
         (marked("Days"), days.page, ":material/date_range:"),
         (marked("Forecast"), forecast.page, ":material/calendar_month:"),
         (marked("Accuracy"), accuracy.page, ":material/target:"),
@@ -100,8 +98,15 @@ def _draw_navigation(pages: list[st.Page], chosen: st.Page) -> None:
     with st.container(key="head", horizontal=True):
         st.html(_head(chosen.title), width="content", unsafe_allow_javascript=True)
         with st.container(horizontal=True, key="nav", gap="small"):
-            for page in pages[:-1]:
-                st.page_link(page, label=page.title, query_params=page_elements.here())
+            _links(pages[:-1])
+            # On a phone, where the links are a bar at the bottom; a new one is closed.
+            with st.popover(_("More"), key=f"more_{chosen.url_path}"):
+                _links(pages[_IN_BAR:])
+
+
+def _links(pages: list[st.Page]) -> None:
+    for page in pages:
+        st.page_link(page, label=page.title, query_params=page_elements.here())
 
 
 def _head(title: str) -> str:
@@ -125,13 +130,6 @@ def read_address() -> None:
         st.session_state.pop("named_before", None)
     elif named and named != st.session_state.get("named_before"):
         st.session_state["round"] = st.session_state["named"] = named
-
-
-def keep_inputs() -> None:
-    """Keep the input of closed pages."""
-    for name in list(st.session_state):
-        if name in _KEPT_INPUTS or str(name).startswith(("up_", "only_")):
-            st.session_state[name] = st.session_state[name]
 
 
 def footer(about_page: st.Page) -> None:

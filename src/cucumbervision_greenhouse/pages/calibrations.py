@@ -87,14 +87,9 @@ def draw_choice() -> None:
         else:
             titles[path], words = Path(path).name, sentence(site)
         effects.append(words)
-    page_elements.setting(
-        "calibration",
-        st.radio,
-        _("Calibration in use"),
-        list(titles),
-        format_func=lambda path: plain(titles.get(path, path)),
-        captions=effects,
-    )
+    titles = {path: plain(title) for path, title in titles.items()}
+    radio = partial(page_elements.choose, st.radio, captions=effects)
+    page_elements.setting("calibration", radio, _("Calibration in use"), titles)
     st.caption(
         _(
             "A calibration counts for what is measured from now on, captures that wait included; "

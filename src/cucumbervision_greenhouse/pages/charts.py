@@ -22,6 +22,7 @@ from cucumbervision_greenhouse.fruit_pictures import CLASS_GREENS, OTHER_COLORS
 from cucumbervision_greenhouse.language import day_month_words
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.settings import Units
+from cucumbervision_greenhouse.store.records import FruitRow
 from cucumbervision_greenhouse.theme import ink
 
 # Checking each chart against Altair's schema takes longer than all other work of a page, and Vega
@@ -145,20 +146,18 @@ def trend_chart(lines: list[dict[str, Any]]) -> Any:
     return _readable(_bars(table, _counted("fruit"), x=_days("day", days), tooltip=tips), 260)
 
 
-def growth_chart(lines: list[dict[str, Any]], units: Units) -> Any:
-    """Return the length of one fruit on its days, with intervals.
-
-    Parameters
-    ----------
-    lines : list of dict
-        'day' (a date), 'length', 'low' and 'high'; the last two may be None.
-    units : Units
-        Unit of the lengths.
-    """
-    title, days = _("Length [{unit}]").format(unit=units.name), [line["day"] for line in lines]
-    lines = [{**line, "day": day_month_words(line["day"])} for line in lines]
-    y = alt.Y("length:Q", title=title, scale=alt.Scale(zero=False))
-    base = _chart(lines).encode(x=_days("day", days), tooltip=_tips(day=_("Day"), length=title))
+def growth_chart(views: Iterable[FruitRow], units: Units) -> Any:
+    """Return the length of one fruit on its days, with intervals, in a unit of lengths."""
+    measured = [(view.taken_s, view.length) for view in views if view.length is not None]
+    days = [date.fromtimestamp(taken_s) for taken_s, _length in measured]
+    lines = [
+        {"day": day_month_words(day)}
+        | {name: units.value(getattr(length, f"{name}_m")) for name in ("value", "low", "high")}
+        for day, (_taken_s, length) in zip(days, measured, strict=True)
+    ]
+    title = _("Length [{unit}]").format(unit=units.name)
+    y = alt.Y("value:Q", title=title, scale=alt.Scale(zero=False))
+    base = _chart(lines).encode(x=_days("day", days), tooltip=_tips(day=_("Day"), value=title))
     points = base.mark_line(point=alt.OverlayMarkDef(size=80), color=CLASS_GREENS[0]).encode(y=y)
     whiskers = base.mark_rule(color=_ink()).encode(y=alt.Y("low:Q", title=title), y2="high:Q")
     return _readable(whiskers + points, 220)

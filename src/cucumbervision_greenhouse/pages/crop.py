@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import unicodedata
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -33,12 +32,8 @@ def draw() -> None:
         name: profile for name, entry in entries.items() if (profile := entry.profile) is not None
     }
     titles = told_apart({name: _(profile.title) for name, profile in readable.items()})
-    name = st.selectbox(
-        _("Crop"),
-        list(readable),
-        index=list(readable).index(saved) if saved in readable else 0,
-        format_func=titles.__getitem__,
-    )
+    usual = list(readable).index(saved) if saved in readable else 0
+    name = page_elements.choose(st.selectbox, _("Crop"), titles, index=usual)
     if name == saved:
         st.caption(_("New rounds have this crop. Rounds that were begun keep theirs."))
     else:
@@ -83,16 +78,14 @@ def _form(name: str, profile: CropProfile, *, own: bool) -> None:
     _preview(profile, changed)
 
     def save() -> None:
-        path = save_own_profile(changed, profile)
+        path = save_own_profile(changed)
         resources.forget_profiles()
         resources.change_settings(profile=path.stem)
         words = _("Saved: new rounds have the crop '{crop}'.")
         st.toast(plain(words.format(crop=changed.title)))
 
-    act = partial(page_elements.do, save)
     how: dict[str, Any] = {"type": "primary", "disabled": not title}
-    page_elements.button(st, _("Save and use for new rounds"), "save", act, **how)
-    page_elements.draw_fault()
+    page_elements.button(st, _("Save and use for new rounds"), "save", save, **how)
     st.caption(
         _(
             "Saved as a crop of your own; the one that the program brings stays as it is. Rounds "
@@ -135,14 +128,10 @@ def _fields(key: str, profile: CropProfile) -> dict[str, Any]:
     mass_g = number(second, lightest, 0.0, 5000.0, profile.minimum_g or 0.0, 10.0)
     words = _("Thickness and weight decide on the class")
     decide = st.toggle(words, profile.size_rules == "decide", key=f"{key}_decide")
-    pick = st.pills(
-        _("Ready to be picked"),
-        [c.name for c in profile.classes],
-        format_func=lambda name: plain(class_words(name)),
-        selection_mode="multi",
-        default=profile.pick,
-        key=f"{key}_pick",
-    )
+    names = {c.name: plain(class_words(c.name)) for c in profile.classes}
+    how: dict[str, Any] = {"selection_mode": "multi", "default": profile.pick}
+    ready = _("Ready to be picked")
+    pick = page_elements.choose(st.pills, ready, names, key=f"{key}_pick", **how)
     sizes = {"minimum_diameter_mm": diameter_mm or None, "minimum_g": mass_g or None}
     rules = {"pick": pick, "size_rules": "decide" if decide else "remark"}
     return {"edges_m": edges_m, "arcs": arcs, **sizes, **rules}
@@ -222,26 +211,16 @@ def with_limits(
     return parse_model(CropProfile, content, source=Message("the limits"), error=ProfileError)
 
 
-def save_own_profile(profile: CropProfile, before: CropProfile | None = None) -> Path:
-    """Write a profile into the user's folder of profiles, named after its title.
+def save_own_profile(profile: CropProfile) -> Path:
+    """Write a profile into the user's folder of profiles, named after its title; return the file.
 
-    Parameters
-    ----------
-    profile : CropProfile
-        The profile.
-    before : CropProfile, optional
-        The one that was changed.
-
-    Returns
-    -------
-    Path
-        The file; the crop of this title is replaced.
+    The crop of this title is replaced.
 
     Raises
     ------
     ProfileError
-        If the title has no letter or digit or is too like another crop's, if somebody else has
-        changed the crop since, or if the file cannot be written.
+        If the title has no letter or digit or is too like another crop's, or if the file cannot be
+        written.
     NameRefusedError
         If it is no name.
     """
@@ -260,10 +239,6 @@ def save_own_profile(profile: CropProfile, before: CropProfile | None = None) ->
                 "the crop '{name}' is saved by that name",
                 remedy="give it a name with other letters or digits",
                 name=named,
-            )
-        if before is not None and before.title == saved.title and before != saved:
-            raise ProfileError(
-                "it was changed again since", remedy="look at its limits as they are now"
             )
     content = profile.model_dump(mode="json", exclude_none=True)
     replace_text(path, tomli_w.dumps(content))

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from datetime import date
 from functools import partial
-from typing import Any
 
 import streamlit as st
 
@@ -14,7 +12,7 @@ from cucumbervision_greenhouse import words as texts
 from cucumbervision_greenhouse.language import counted, marked, plain
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.pages import page_elements
-from cucumbervision_greenhouse.pages.round_choice import label_options
+from cucumbervision_greenhouse.pages.round_choice import label_options, of_round
 from cucumbervision_greenhouse.round_view import RoundView
 from cucumbervision_greenhouse.rounds.day_comparison import (
     Change,
@@ -37,7 +35,7 @@ _CHANGES = {
 }
 
 
-@page_elements.of_round
+@of_round
 def page(walk: RoundView) -> None:
     """Draw the page."""
     round_summary = walk.round
@@ -90,9 +88,7 @@ def _metrics(counts: ChangeCounts, before: Round, after: Round) -> None:
         _("On {day}").format(day=texts.day_words(after.walked_s)): counts.after,
         _("Growth"): texts.daily_growth_words(counts.growth_m_per_day, resources.settings().units),
     }
-    with st.container(horizontal=True):
-        for label, value in metrics.items():
-            st.metric(label, value, width="content")
+    page_elements.metrics(metrics)
     if counts.gone and counts.new and not counts.stayed:
         words = _(
             "No fruit of one day is surely one of the other: 'not seen again' and 'new' may be the "
@@ -140,14 +136,14 @@ def _offer(comparison: DayComparison, before: Round, after: Round) -> None:
     )
     st.markdown(words)
     units = resources.settings().units
-    page_elements.pictures(pairs[0], lambda view: "  \n".join(_day_lines(view, units)))
+    page_elements.pictures(pairs[0], lambda view: _day_words(view, units))
     keys = [view.key for view in pairs[0]]
     for column, label, same in zip(
         st.columns(2), (_("The same fruit"), _("Two fruit")), (True, False), strict=True
     ):
         act = partial(store.decide_growth, *keys, same=same)
         icon = "link" if same else "link_off"
-        page_elements.button(column, label, icon, page_elements.do, act, key=f"{icon}_{keys[0]}")
+        page_elements.button(column, label, icon, act, key=f"{icon}_{keys[0]}")
 
 
 def _rows(comparison: DayComparison) -> None:
@@ -192,9 +188,8 @@ def _each_fruit(comparison: DayComparison) -> None:
     if st.session_state.get("change") not in kinds:
         st.session_state["change"] = kinds[0]
     words = {kind: _(_CHANGES[kind]) for kind in kinds}
-    kind = st.segmented_control(
-        _("Fruit"), kinds, format_func=words.__getitem__, key="change", required=True
-    )
+    segments = partial(page_elements.choose, st.segmented_control, required=True)
+    kind = segments(_("Fruit"), words, key="change")
     changes, units = comparison.of(kind or kinds[0]), resources.settings().units
     drawn = page_elements.first_of(changes, "days_page", round_view.LINES)
     views = [(fruit.after or fruit.before, fruit) for fruit in drawn]
@@ -222,12 +217,11 @@ def _fruit_days(round_summary: Round, key: str) -> None:
         st, _("All fruit"), "arrow_back", page_elements.name_in_address, "fruit", None
     )
     st.header(f"{texts.row_name(views[-1].row)}: {counted(len(views), '{n} day', '{n} days')}")
-    page_elements.pictures(views, lambda view: "  \n".join(_day_lines(view, units)))
-    chart_lines = length_days(views, units)
-    if len(chart_lines) > 1:
+    page_elements.pictures(views, lambda view: _day_words(view, units))
+    if sum(view.length is not None for view in views) > 1:
         from cucumbervision_greenhouse.pages import charts
 
-        st.altair_chart(charts.growth_chart(chart_lines, units))
+        st.altair_chart(charts.growth_chart(views, units))
         st.caption(_("Length on each day, with its 90 % interval where one is given."))
     if views[-1].round_key == round_summary.key:
         page_elements.link("results", _("Open this fruit"), fruit=views[-1].key)
@@ -245,28 +239,10 @@ def _change_words(fruit: FruitChange, units: Units) -> list[str]:
     ]
 
 
-def _day_lines(view: FruitRow, units: Units) -> list[str]:
-    """Return the words for a fruit on one day: the date, its length and interval."""
-    lines = [
-        texts.day_words(view.taken_s),
-        texts.length_words(view, units),
-        texts.interval_words(view, units),
-    ]
-    return [line for line in lines if line]
-
-
-def length_days(views: Iterable[FruitRow], units: Units) -> list[dict[str, Any]]:
-    """Return a line for each day of a fruit with a length: the day, length and interval."""
-    return [
-        {
-            "day": date.fromtimestamp(view.taken_s),
-            "length": units.value(length.value_m),
-            "low": units.value(length.low_m),
-            "high": units.value(length.high_m),
-        }
-        for view in views
-        if (length := view.length) is not None
-    ]
+def _day_words(view: FruitRow, units: Units) -> str:
+    """Return a fruit on one day in lines: the date, its length and interval."""
+    length, interval = texts.length_words(view, units), texts.interval_words(view, units)
+    return "  \n".join(filter(None, (texts.day_words(view.taken_s), length, interval)))
 
 
 def _trend(round_summary: Round, rounds: list[Round]) -> None:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import time
-from datetime import date
+from datetime import date, timedelta
 from functools import partial
+from typing import Any
 
 import streamlit as st
 
@@ -12,17 +12,24 @@ from cucumbervision_greenhouse import resources
 from cucumbervision_greenhouse import words as texts
 from cucumbervision_greenhouse.forecast.forecast import Forecast
 from cucumbervision_greenhouse.forecast.picking import Span, plan_work, ready_on
-from cucumbervision_greenhouse.language import day_month_words, language, plain
+from cucumbervision_greenhouse.language import day_month_words, plain
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.pages import page_elements
-from cucumbervision_greenhouse.resources import KEPT
+from cucumbervision_greenhouse.pages.round_choice import of_round
 from cucumbervision_greenhouse.round_view import RoundView
-from cucumbervision_greenhouse.rounds.forecasting import Age, age_of
-from cucumbervision_greenhouse.rounds.harvest import HEAD, fruit_kg, keep_harvest, read_harvest
-from cucumbervision_greenhouse.store.records import Round
+from cucumbervision_greenhouse.rounds.harvest import (
+    HEAD,
+    HarvestLine,
+    fruit_kg,
+    keep_harvest,
+    read_harvest,
+)
+
+_FIELD_PX = 170  # two side by side on a phone
+_DAYS_BACK = 31  # days whose harvest can be entered in fields
 
 
-@page_elements.of_round
+@of_round
 def page(walk: RoundView) -> None:
     """Draw the page."""
     prediction = walk.forecast
@@ -31,8 +38,10 @@ def page(walk: RoundView) -> None:
             _("Nothing to forecast: this round has no measured fruit left on the plant."),
             icon=":material/calendar_month:",
         )
+        _harvest(walk)
         return
-    _age(walk.round)
+    page_elements.draw_age(walk.round)
+    page_elements.link("today", _("Today's pick list"))
     names = [_("Next days"), _("Work and crates"), _("Harvest")]
     days, work, harvest = st.tabs(names, key="forecast_tabs", on_change="rerun")
     with days:
@@ -43,43 +52,6 @@ def page(walk: RoundView) -> None:
                 draw(walk)
 
 
-def _age(round_summary: Round) -> None:
-    walked = round_summary.walked_s
-    days, age = age_of(walked, time.time())
-    if days < 0:
-        st.warning(texts.clock_words(walked), icon=":material/error:")
-    if age is not Age.FRESH:
-        words = _(
-            "This round is {age} (walked on {when}): the forecast is valid only if nothing was "
-            "picked since. Walk again."
-        )
-        if age is Age.USELESS:
-            words = _(
-                "This round is {age} (walked on {when}): the forecast is valid for the day of the "
-                "walk. Walk again."
-            )
-        st.warning(
-            words.format(age=texts.age_words(days), when=texts.round_day(walked)),
-            icon=":material/history:",
-        )
-    page_elements.link("today", _("Today's pick list"))
-
-
-def _drawn(prediction: Forecast) -> tuple[object, ...]:
-    """Return all that the chart of a forecast shows."""
-    house = prediction.house
-    numbers = (x.tobytes() for x in (house.expected, house.low, house.high))
-    return (prediction.today, date.today(), prediction.classes, *numbers)
-
-
-@st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=600, hash_funcs={Forecast: _drawn})
-def _chart(prediction: Forecast, language: str, theme: str | None) -> None:  # noqa: ARG001, as it is shown
-    """Draw the chart; Altair makes it once, since that takes as long as the rest of the page."""
-    from cucumbervision_greenhouse.pages import charts
-
-    st.altair_chart(charts.forecast_chart(prediction))
-
-
 def _days(prediction: Forecast) -> None:
     first = [
         f"{texts.class_words(name)} {texts.forecast_day(prediction, day)}"
@@ -88,7 +60,9 @@ def _days(prediction: Forecast) -> None:
     if first:
         st.markdown(_("**First fruit ready**: {days}").format(days=plain(", ".join(first))))
     st.markdown(_("**Fruit in each class if nothing is picked**, with the likely range"))
-    _chart(prediction, language(), st.context.theme.type)
+    from cucumbervision_greenhouse.pages import charts
+
+    st.altair_chart(charts.forecast_chart(prediction))
     house = prediction.house
     lines = []
     for day in prediction.days.tolist():
@@ -176,18 +150,46 @@ def _harvest(walk: RoundView) -> None:
             for day, of_day in newest
         ]
     )
-    first = f"{HEAD}\n{date.today()};;;;;"
-    help_ = _("A line a day, row and class; or paste a table. Fruit or crates are needed.")
-    st.text_area(_("Picked fruit"), first, key="harvest", help=help_)
-    keep = partial(page_elements.do, partial(_keep, walk.key))
-    page_elements.button(st, _("Keep this harvest"), "save", keep)
+    st.markdown(f"**{_('Picked fruit')}**")
+    number = st.session_state.setdefault("harvests", 0)
+    rows = dict.fromkeys(["", *(stop.row or "" for stop in walk.content.stops)])
+    days = [date.today() - timedelta(age) for age in range(_DAYS_BACK)]
+    names = {day: texts.date_words(day, days[0]) for day in days}
+    with st.container(horizontal=True):
+        select = partial(page_elements.choose, st.selectbox, width=_FIELD_PX)
+        select(_("Day"), names, key="harvest_day")
+        select(_("Row"), {row: row or _("whole house") for row in rows}, key="harvest_row")
+    for name in walk.profile.pick:
+        with st.container(horizontal=True):
+            fruit = _("{name}: fruit").format(name=plain(texts.class_words(name)))
+            keys = [f"harvest_{what}_{name}_{number}" for what in ("fruit", "kg")]
+            st.number_input(fruit, 0, value=None, key=keys[0], width=_FIELD_PX)
+            st.number_input(_("kg"), 0.0, value=None, key=keys[1], width=_FIELD_PX)
+    file = page_elements.section(_("From a CSV file"), "upload_file", "csv")
+    if file is not None:
+        words = _(
+            "A line a day, row and class, below the names {names}; fruit or crates are needed."
+        )
+        how: dict[str, Any] = {"max_upload_size": 1, "key": f"harvest_file_{number}"}
+        file.file_uploader(words.format(names=HEAD), "csv", **how)
+    page_elements.button(st, _("Keep this harvest"), "save", _keep, walk, number)
     page_elements.draw_undo(walk.key)
 
 
-def _keep(round_key: str) -> None:
-    text = str(st.session_state["harvest"])
-    lines, unknown = read_harvest(text, resources.settings().fruit_per_crate)
-    keep_harvest(resources.store(), round_key, lines, date.today())
+def _keep(walk: RoundView, number: int) -> None:
+    """Keep what the fields hold, and the lines of the file; then there are new fields."""
+    fields, lines, unknown = st.session_state, list[HarvestLine](), list[str]()
+    if (file := fields.get(f"harvest_file_{number}")) is not None:
+        text = file.getvalue().decode("utf-8-sig", "replace")
+        lines, unknown = read_harvest(text, resources.settings().fruit_per_crate)
+    for name in walk.profile.pick:
+        fruit, kg = (fields[f"harvest_{what}_{name}_{number}"] for what in ("fruit", "kg"))
+        if fruit is not None:
+            day, row = fields["harvest_day"], fields["harvest_row"]
+            line = {"day": day, "row": row, "class": name, "fruit": fruit, "kg": kg}
+            lines.append(HarvestLine.model_validate(line))
+    keep_harvest(resources.store(), walk.key, lines, date.today())
+    fields["harvests"] += 1
     if unknown:
         words = _("Columns that are not used: {names}").format(names=", ".join(unknown))
         st.toast(plain(words), icon=":material/info:")

@@ -16,7 +16,6 @@ from cucumbervision.errors import CucumberVisionError
 from cucumbervision.fruit.instance import MaskSource
 from cucumbervision.fruit.mask_codes import decode_rle
 from cucumbervision.fruit.masks import mask_window
-from cucumbervision.methods.table import AVAILABLE
 from cucumbervision.run.fields import FIELDS
 from cucumbervision_greenhouse import fruit_pictures, resources, round_view
 from cucumbervision_greenhouse import words as texts
@@ -48,7 +47,7 @@ def show(walk: RoundView, key: str, listed: Sequence[FruitRow]) -> None:
     with picture_side:
         _pictures(detail)
     _show_stops(walk, detail.view)
-    _methods(detail)
+    _corrections(detail)
 
 
 def _neighbours(
@@ -97,14 +96,9 @@ def _figures(walk: RoundView, detail: DetectionDetail) -> None:
     record = next(fruit for fruit in walk.best if fruit.key == detail.view.key)
     units, graded_fruit = resources.settings().units, walk.grades[record.key]
     by_hand = hand_lengths(hand_file(resources.where(), walk.key), [record]).get(record.key)
+    kind = texts.kind_words(None if record.length is None else str(record.length.kind))
     interval = texts.interval_words(record, units, _("Likely between {low} and {high}"))
-    st.metric(
-        texts.kind_words(None if record.length is None else str(record.length.kind)),
-        texts.length_words(record, units),
-        interval,
-        delta_color="off",
-        delta_arrow="off",
-    )
+    page_elements.metrics({kind: texts.length_words(record, units)}, {kind: interval or ""})
     st.markdown(f"**{sentence(texts.grade_words(graded_fruit))}**")
     traits = {
         _("Thickest"): None
@@ -127,6 +121,10 @@ def _figures(walk: RoundView, detail: DetectionDetail) -> None:
         site = stored_calibration(detail.stop)
         name = _("none") if site is None else plain(site.name)
         st.caption(_("Measured with the calibration: {name}").format(name=name))
+        if record.method:
+            st.caption(_("Method: {name}").format(name=record.method))
+        if record.fallback:
+            st.caption(_("Methods tried first: {methods}").format(methods=plain(record.fallback)))
         page_elements.table(figure_lines(record))
 
 
@@ -301,22 +299,7 @@ def _accept_others(detail: DetectionDetail) -> None:
     page_elements.button(st, label, "done_all", accept, key=f"rest_{view.key}")
 
 
-def _methods(detail: DetectionDetail) -> None:
-    units, record = resources.settings().units, detail.view
-    lengths_m = {name: getattr(record, f"{name.lower()}_m") for name in AVAILABLE}
-    lines = [
-        {
-            _("Method"): name,
-            _("Length"): units.text(length_m),
-            _("Remark"): _("chosen") if name == record.method else "",
-        }
-        for name, length_m in lengths_m.items()
-        if length_m is not None
-    ]
-    with st.expander(_("All methods"), icon=":material/straighten:"):
-        page_elements.table(lines)
-        if record.fallback:
-            st.caption(_("Methods tried first: {methods}").format(methods=plain(record.fallback)))
+def _corrections(detail: DetectionDetail) -> None:
     if detail.log:
         with st.expander(_("Corrections"), icon=":material/history:"):
             for action in detail.log:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from functools import lru_cache, wraps
+from functools import lru_cache
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,18 +15,18 @@ from cucumbervision.errors import CucumberVisionError
 from cucumbervision.names import readable
 from cucumbervision_greenhouse import resources, round_view, tasks
 from cucumbervision_greenhouse.fruit_pictures import PICTURE_FILES
-from cucumbervision_greenhouse.language import (
-    counted,
-    language,
-    page_text,
-    plain,
-    sentence,
-    words_of,
-)
+from cucumbervision_greenhouse.language import counted, language, page_text, plain, sentence
 from cucumbervision_greenhouse.language import gettext as _
-from cucumbervision_greenhouse.pages.round_choice import choose_round, missing_round
+from cucumbervision_greenhouse.rounds.forecasting import Age, age_of
 from cucumbervision_greenhouse.row_drawing import draw_rows
-from cucumbervision_greenhouse.words import hours_words, step_words, taken_back
+from cucumbervision_greenhouse.words import (
+    age_words,
+    clock_words,
+    hours_words,
+    round_day,
+    step_words,
+    taken_back,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Container, Mapping, Sequence
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
     from cucumbervision_greenhouse.round_view import RoundView
     from cucumbervision_greenhouse.settings import Units
-    from cucumbervision_greenhouse.store.records import FruitRow, Verdict
+    from cucumbervision_greenhouse.store.records import FruitRow, Round, Verdict
 
 _PICTURE_PX = 168  # two abreast on a phone
 _NEWS_S = 1.0  # how soon a page shows what another viewer did
@@ -55,20 +55,18 @@ def section(label: str, icon: str, key: str, *, opened: bool = False) -> DeltaGe
 def button(
     place: Any, label: str, icon: str, act: Callable[..., object], *args: Any, **options: Any
 ) -> None:
-    """Draw a button as wide as its place; pressing it calls `act` before the page is drawn anew."""
+    """Draw a button as wide as its place; pressing it does `act` before the page is drawn anew."""
     icon = f":material/{icon}:"
     options.setdefault("width", "stretch")
-    place.button(label, icon=icon, on_click=act, args=args, **options)
+    place.button(label, icon=icon, on_click=do, args=(act, *args), **options)
 
 
-def do(act: Callable[[], object]) -> bool:
-    """Correct a round, or show the fault below; return whether it was corrected."""
+def do(act: Callable[..., object], *args: Any) -> None:
+    """Do what a button asks for, or show why it cannot be done until somebody has read it."""
     try:
-        act()
+        act(*args)
     except CucumberVisionError as error:
-        st.session_state["fault"] = words_of(error)
-        return False
-    return True
+        st.toast(sentence(error), icon=":material/error:", duration="infinite")
 
 
 def judge(round_key: str, key: str, verdict: Verdict | None) -> None:
@@ -79,20 +77,18 @@ def judge(round_key: str, key: str, verdict: Verdict | None) -> None:
 
 
 def draw_undo(round_key: str) -> None:
-    """Draw a button that undoes the viewer's last action, and the fault of the last correction."""
+    """Draw a button that undoes the viewer's last action."""
 
     def undo() -> None:
         action = tasks.undo(resources.store(), round_key)
         st.toast(plain(taken_back(action)), icon=":material/undo:")
 
-    button(st, _("Undo"), "undo", do, undo, shortcut="Z")
-    draw_fault()
+    button(st, _("Undo"), "undo", undo, shortcut="Z")
 
 
-def draw_fault() -> None:
-    """Draw the fault of the last correction, once."""
-    if fault := st.session_state.pop("fault", None):
-        st.warning(sentence(fault), icon=":material/error:")
+def choose(draw: Callable[..., Any], label: str, names: Mapping[Any, str], **options: Any) -> Any:
+    """Draw a choice between the keys of `names`, which are shown, by one of Streamlit's fields."""
+    return draw(label, list(names), format_func=names.__getitem__, **options)
 
 
 def setting(
@@ -132,6 +128,39 @@ def setting(
     saved = getattr(resources.settings(), name)
     st.session_state[f"{key}_drawn"], st.session_state[key] = saved, shown(saved)
     draw(label, *args, key=key, on_change=choose, **options)
+
+
+def metrics(figures: Mapping[str, Any], below: Mapping[str, str] | None = None) -> None:
+    """Draw figures side by side, each under its name and, where it has some, above words."""
+    with st.container(horizontal=True):
+        for label, value in figures.items():
+            how: dict[str, Any] = {"delta_color": "off", "delta_arrow": "off", "width": "content"}
+            st.metric(plain(label), value, (below or {}).get(label) or None, **how)
+
+
+def step(words: str, page: str, label: str, **parts: str) -> None:
+    """Draw words with a link to another page of the round beside them."""
+    says, go = st.columns([3, 1], vertical_alignment="center")
+    says.markdown(words)
+    with go:
+        link(page, label, **parts)
+
+
+def draw_age(round_summary: Round) -> None:
+    """Say when a round was walked, and what that means for its figures of today."""
+    days, age = age_of(round_summary.walked_s, time.time())
+    if days < 0:
+        st.warning(clock_words(round_summary.walked_s), icon=":material/error:")
+        return
+    parts = {"age": age_words(days), "when": round_day(round_summary.walked_s)}
+    words = _("**Measured {age}** (last stop {when}).").format(**parts)
+    if age is Age.FRESH:
+        st.markdown(words)
+        return
+    meaning = _("The figures of today are right only if nothing was picked since. Walk again.")
+    if age is Age.USELESS:
+        meaning = _("It is too old for today. Walk the house again for today's list.")
+    st.warning(f"{words} {meaning}", icon=":material/history:")
 
 
 def spanning(low: float, high: float, value: float) -> tuple[float, float, float]:
@@ -183,7 +212,7 @@ def fruit_list(
     words: str,
     on_taps: Callable[[], None] | None = None,
     *,
-    are_pictures: bool = False,
+    opened: str = "",
 ) -> None:
     """Draw a list of fruit to tick off or to open; opening one puts it into the address.
 
@@ -199,11 +228,11 @@ def fruit_list(
     on_taps : callable
         Called with every tap, before anything is drawn, so that all totals count it; None for
         fruit to be opened.
-    are_pictures : bool
-        Large pictures side by side instead of lines.
+    opened : str
+        Key of the fruit that is shown beside the list.
     """
 
-    def opened() -> None:
+    def open_it() -> None:
         name_in_address("fruit", st.session_state[key].opened)
 
     data = {
@@ -211,9 +240,9 @@ def fruit_list(
         "words": words,
         "label": label,
         "opens": on_taps is None,
-        "grid": are_pictures,
+        "opened": opened,
     }
-    tapped = {"on_opened_change": opened} if on_taps is None else {"on_taps_change": on_taps}
+    tapped = {"on_opened_change": open_it} if on_taps is None else {"on_taps_change": on_taps}
     component("fruitlist")(key=key, data=data, **tapped)
 
 
@@ -244,35 +273,8 @@ def draw_more(items: Sequence[Any], key: str, size: int) -> None:
         button(st, words, "expand_more", st.session_state.__setitem__, key, drawn + 5 * size)
 
 
-def of_round(draw: Callable[[RoundView], None]) -> Callable[[], None]:
-    """Make a page of a function that draws a round: the round is chosen above it."""
-
-    @wraps(draw)
-    def page() -> None:
-        round_summary = choose_round()
-        if missing := missing_round():
-            st.warning(
-                _("There is no round '{name}'. Choose one above, or start a new one.").format(
-                    name=plain(missing[:40])
-                ),
-                icon=":material/search_off:",
-            )
-        elif round_summary is None:
-            first_steps(begun=False)
-        else:
-            draw(round_view.view_of(round_summary))
-
-    return page
-
-
 def first_steps(*, begun: bool) -> None:
-    """Draw the steps to a house's first list, where there is nothing else to show.
-
-    Parameters
-    ----------
-    begun : bool
-        Whether its round is begun, which is the first step.
-    """
+    """Draw the steps to a house's first list; the first is done where its round is begun."""
     missing = _("This round has no stops yet.") if begun else _("There is no round yet.")
     st.markdown(f"**{missing}** {_('Three steps to its first list:')}")
     steps = (
@@ -302,12 +304,6 @@ def link(page: str, label: str, **parts: str) -> None:
         )
 
 
-def leave_for(page: str, **parts: str) -> None:
-    """Open another page of the round."""
-    if target := st.session_state.get("pages", {}).get(page):
-        st.switch_page(target, query_params=here(**parts))
-
-
 def here(**parts: str) -> dict[str, str]:
     """Return the parameters of an address: the open round and other parts."""
     opened = st.session_state.get("round")
@@ -322,8 +318,8 @@ def work_words(hours: float, crates: float) -> str:
     >>> work_words(0.2333, 6.0)
     '14 min and 6 crates'
     """
-    words = "{hours} and {n} crate", "{hours} and {n} crates"
-    return counted(int(crates), *words, hours=hours_words(hours))
+    work = hours_words(hours)
+    return counted(int(crates), "{hours} and {n} crate", "{hours} and {n} crates", hours=work)
 
 
 def name_in_address(name: str, value: str | None) -> None:
@@ -407,8 +403,8 @@ def rows(walk: RoundView, rows: Sequence[str] = (), *, opened: str = "") -> dict
     data["address"] = f"/results?{urlencode(here(fruit=''))}"
     key = f"rows_{walk.key}_{'_'.join(map(str, rows))}"
     tapped = component("row")(key=key, data=data, on_opened_change=lambda: None).opened
-    if tapped:
-        leave_for("results", fruit=tapped)
+    if tapped and (target := st.session_state.get("pages", {}).get("results")):
+        st.switch_page(target, query_params=here(fruit=tapped))
     return drawn
 
 

@@ -9,14 +9,14 @@ from urllib.parse import urlencode
 
 import streamlit as st
 
-from cucumbervision_greenhouse import resources, round_view, tasks
+from cucumbervision_greenhouse import resources, round_view
 from cucumbervision_greenhouse import words as texts
 from cucumbervision_greenhouse.exports import ExportFormat
 from cucumbervision_greenhouse.language import counted, marked, plain
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.pages import fruit as fruit_page
 from cucumbervision_greenhouse.pages import page_elements
-from cucumbervision_greenhouse.pages.round_choice import label_options
+from cucumbervision_greenhouse.pages.round_choice import label_options, of_round
 from cucumbervision_greenhouse.round_view import RoundView
 from cucumbervision_greenhouse.rounds.fruit_table import (
     hanging_lengths_m,
@@ -24,7 +24,7 @@ from cucumbervision_greenhouse.rounds.fruit_table import (
     round_figures,
 )
 from cucumbervision_greenhouse.rounds.walking import is_demonstration
-from cucumbervision_greenhouse.store.records import FruitRow, Round, Verdict
+from cucumbervision_greenhouse.store.records import FruitRow, Verdict
 
 _FORMATS = {
     ExportFormat.XLSX: marked("Excel"),
@@ -37,14 +37,10 @@ _FORMATS = {
 
 def _files(round_key: str) -> None:
     """Draw the choice of formats, and the link that makes and loads the files."""
-    formats = st.pills(
-        _("Formats"),
-        list(_FORMATS),
-        format_func=lambda name: _(_FORMATS[name]),
-        selection_mode="multi",
-        default=[ExportFormat.XLSX, ExportFormat.CSV, ExportFormat.HTML],
-        key="formats",
-    )
+    names = {name: _(words) for name, words in _FORMATS.items()}
+    usual = [ExportFormat.XLSX, ExportFormat.CSV, ExportFormat.HTML]
+    how: dict[str, Any] = {"selection_mode": "multi", "default": usual, "key": "formats"}
+    formats = page_elements.choose(st.pills, _("Formats"), names, **how)
     if formats:
         asked = urlencode([("formats", str(chosen)) for chosen in formats])
         st.html(
@@ -59,19 +55,26 @@ _VERDICTS = {
 }
 
 
-@page_elements.of_round
+@of_round
 def page(walk: RoundView) -> None:
     """Draw the page."""
     groups = walk.content.group_of
-    opened = groups.get(st.query_params.get("fruit", ""))  # by any of its views
-    if opened is not None and opened in walk.grades:
-        fruit_page.show(walk, opened, _listed(walk))
+    opened = groups.get(st.query_params.get("fruit", ""), "")  # by any of its views
+    if opened in walk.grades:
+        fruit = _listed(walk)
+        with st.container(key="panes"):  # on a wide screen the list is beside its fruit
+            list_side, fruit_side = st.columns([1, 3], gap="medium")
+        with fruit_side:
+            fruit_page.show(walk, opened, fruit)
+        if "Mobi" not in st.context.headers.get("User-Agent", "Mobi"):
+            with list_side:
+                _list(walk, fruit, opened)
         return
     page_elements.say_missing(
         "fruit", groups, _("There is no such fruit in this round (any more).")
     )
     if not walk.best:
-        _empty(walk.round)
+        st.info(_("No fruit was found at the stops of this round."), icon=":material/search_off:")
         return
     _classes(walk)
     _statistics(walk)
@@ -88,46 +91,34 @@ def page(walk: RoundView) -> None:
             _files(walk.key)
 
 
-def _empty(round_summary: Round) -> None:
-    if not round_summary.stops and (words := tasks.progress(round_summary.key).first):
-        st.info(words, icon=":material/hourglass_empty:")
-    elif round_summary.stops:
-        st.info(_("No fruit was found at the stops of this round."), icon=":material/search_off:")
-    else:
-        page_elements.first_steps(begun=True)
-
-
 def _classes(walk: RoundView) -> None:
     """Say first what a grower asks first: how many of each class, and where the list is."""
     counts = walk.counts(on_the_plant(walk.fruit))
     words = ", ".join(
         f"{number} {texts.label_words(name)}" for name, number in sorted(counts.items())
     )
-    says, go = st.columns([3, 1], vertical_alignment="center")
-    says.markdown(f"**{plain(words or _('No fruit on the plant'))}**")
+    words = f"**{plain(words or _('No fruit on the plant'))}**"
+    page_elements.step(words, "today", _("What is ready today"))
     if (ready := walk.ready) is not None:
-        says.caption(texts.ready_words(ready))
+        st.caption(texts.ready_words(ready))
     if is_demonstration(walk.key):
-        says.caption(_("A computer-made example."))
-    with go:
-        page_elements.link("today", _("What is ready today"))
+        st.caption(_("A computer-made example."))
 
 
 def _statistics(walk: RoundView) -> None:
     figures, units = round_figures(walk.content, walk.fruit), resources.settings().units
-    seen = counted(figures.detections, "detected {n} time", "detected {n} times")
-    spread = f"± {units.text(figures.sd_m)}" if figures.sd_m else None
-    metrics: list[tuple[str, int | str, str | None]] = [
-        (_("Fruit"), figures.fruit, seen),
-        (_("Measured"), figures.measured, None),
-        (_("Mean length"), units.text(figures.mean_m), spread),
-        (_("Picked"), figures.picked, None),
-        (_("Deleted"), len(walk.deleted), None),
-    ]
-    how: dict[str, Any] = {"delta_color": "off", "delta_arrow": "off", "width": "content"}
-    with st.container(horizontal=True):
-        for label, value, below in metrics:
-            st.metric(label, value, below, **how)
+    fruit, mean = _("Fruit"), _("Mean length")
+    below = {fruit: counted(figures.detections, "detected {n} time", "detected {n} times")}
+    if figures.sd_m:
+        below[mean] = f"± {units.text(figures.sd_m)}"
+    metrics = {
+        fruit: figures.fruit,
+        _("Measured"): figures.measured,
+        mean: units.text(figures.mean_m),
+        _("Picked"): figures.picked,
+        _("Deleted"): len(walk.deleted),
+    }
+    page_elements.metrics(metrics, below)
 
 
 def _with(view: FruitRow) -> set[str]:
@@ -146,9 +137,6 @@ _ORDERS: dict[str, Callable[[FruitRow], float]] = {
     marked("Shortest first"): lambda view: view.length_m or math.inf,
     marked("Least certain first"): lambda view: view.score,
 }
-_WALK, _LIST, _PICTURES = next(iter(_ORDERS)), marked("List"), marked("Pictures")
-
-
 _FILTERS: dict[str, Callable[[RoundView], Iterable[str]]] = {
     marked("Row"): lambda walk: {view.row or "" for view in walk.fruit},
     marked("Class"): lambda walk: {grade.label for grade in walk.grades.values()},
@@ -171,14 +159,10 @@ def _filters(walk: RoundView) -> None:
         if st.session_state.get(key) not in names:
             st.session_state[key] = None  # as in another round
         if column is not None:
-            column.selectbox(_(label), names, format_func=labelled, key=key)
-    order, drawn = st.columns([3, 2], vertical_alignment="bottom")
-    for name, usual in (("only_order", _WALK), ("only_drawn", _LIST)):
-        st.session_state.setdefault(name, usual)
-    order.selectbox(_("Order"), list(_ORDERS), format_func=_, key="only_order")
-    drawn.segmented_control(
-        _("Fruit as"), [_LIST, _PICTURES], format_func=_, key="only_drawn", required=True
-    )
+            how: dict[str, Any] = {"format_func": labelled, "persist_state": "session"}
+            column.selectbox(_(label), names, key=key, **how)
+    how = {"format_func": _, "key": "only_order", "persist_state": "session"}
+    st.selectbox(_("Order"), list(_ORDERS), width=320, **how)
 
 
 def _listed(walk: RoundView) -> list[FruitRow]:
@@ -193,7 +177,7 @@ def _listed(walk: RoundView) -> list[FruitRow]:
         and label in (None, walk.grades[view.key].label)
         and (reading_filter is None or reading_filter in _with(view))
     ]
-    return sorted(fruit, key=_ORDERS[st.session_state.get("only_order", _WALK)])
+    return sorted(fruit, key=_ORDERS[st.session_state.get("only_order", "Walk")])
 
 
 def _chart(walk: RoundView, fruit: Sequence[FruitRow]) -> None:
@@ -215,15 +199,13 @@ def _chart(walk: RoundView, fruit: Sequence[FruitRow]) -> None:
         chart.altair_chart(charts.histogram(lines, units))
 
 
-def _list(walk: RoundView, fruit: Sequence[FruitRow]) -> None:
-    page_fruit = page_elements.first_of(fruit, "list_page", round_view.LINES)
-    are_pictures = st.session_state.get("only_drawn") == _PICTURES
-    picture_of = round_view.cutout_of if are_pictures else round_view.thumbnail_of
-    lines = [{**_line(walk, view), "picture": picture_of(view)} for view in page_fruit]
+def _list(walk: RoundView, fruit: Sequence[FruitRow], opened: str = "") -> None:
+    lines = [
+        {**_line(walk, view), "picture": round_view.thumbnail_of(view)}
+        for view in page_elements.first_of(fruit, "list_page", round_view.LINES)
+    ]
     words = counted(len(fruit), "{n} fruit: tap one to open it", "{n} fruit: tap one to open it")
-    page_elements.fruit_list(
-        "fruit_list", _("Fruit of this round"), lines, words, are_pictures=are_pictures
-    )
+    page_elements.fruit_list("fruit_list", _("Fruit of this round"), lines, words, opened=opened)
     page_elements.draw_more(fruit, "list_page", round_view.LINES)
 
 

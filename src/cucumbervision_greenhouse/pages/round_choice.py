@@ -3,26 +3,58 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
-from functools import partial
+from functools import partial, wraps
 from typing import Any
 
 import streamlit as st
 
-from cucumbervision.errors import CucumberVisionError
 from cucumbervision.names import same_house
-from cucumbervision_greenhouse import resources, tasks
-from cucumbervision_greenhouse.language import (
-    Option,
-    counted,
-    plain,
-    sentence,
-    told_apart,
-    words_of,
-)
+from cucumbervision_greenhouse import resources, round_view, tasks
+from cucumbervision_greenhouse.language import Option, counted, plain, told_apart
 from cucumbervision_greenhouse.language import gettext as _
+from cucumbervision_greenhouse.pages import page_elements
+from cucumbervision_greenhouse.pages.page_elements import button
+from cucumbervision_greenhouse.round_view import RoundView
 from cucumbervision_greenhouse.rounds.merge_and_link import delete_round, move_rounds
+from cucumbervision_greenhouse.rounds.walking import is_demonstration
 from cucumbervision_greenhouse.store.records import Round, new_key
 from cucumbervision_greenhouse.words import round_name
+
+
+def of_round(draw: Callable[[RoundView], None], *, needs_stops: bool = True) -> Callable[[], None]:
+    """Make a page of a function that draws a round: the round is chosen above it."""
+
+    @wraps(draw)
+    def page() -> None:
+        round_summary = choose_round()
+        if missing := st.session_state.get(_MISSING):
+            words = _("There is no round '{name}'. Choose one above, or start a new one.")
+            words = words.format(name=plain(str(missing)[:40]))
+            st.warning(words, icon=":material/search_off:")
+        elif round_summary is None:
+            page_elements.first_steps(begun=False)
+        elif needs_stops and not round_summary.stops:
+            _draw_empty(round_summary.key)
+        else:
+            draw(round_view.view_of(round_summary))
+
+    return page
+
+
+def _draw_empty(round_key: str) -> None:
+    """Draw a round without stops: they are being measured, are to come, or were deleted."""
+    progress = tasks.progress(round_key)
+    words = progress.first
+    if progress.waiting:
+        tasks.wake()
+    elif is_demonstration(round_key) and progress.words:
+        words = _("The example is being measured; its fruit appear here.")
+    if words:
+        st.info(words, icon=":material/hourglass_empty:")
+    else:
+        page_elements.first_steps(begun=True)
+    if resources.store().own_actions(round_key):
+        page_elements.draw_undo(round_key)
 
 
 def label_options(key: str, names: Mapping[Option, str]) -> Callable[[Option], str]:
@@ -53,7 +85,6 @@ def label_options(key: str, names: Mapping[Option, str]) -> Callable[[Option], s
 
 
 _MISSING = "missing_round"
-_BEGINNING, _CHANGING = "beginning_round", "changing_round"
 
 
 def choose_round() -> Round | None:
@@ -78,37 +109,31 @@ def choose_round() -> Round | None:
         key="round",
         placeholder=_("Choose a round") if rounds else _("No round yet"),
         label_visibility="collapsed",
+        persist_state="session",
     )
     round_summary = rounds.get(key) if key else None
     if round_summary is not None and st.query_params.get("round") != round_summary.key:
         # A slow browser sends the earlier round again, which must not open it.
         st.session_state["named_before"] = st.session_state.get("named")
         st.query_params["round"] = st.session_state["named"] = round_summary.key
+    closed = st.session_state.setdefault("popovers_closed", 0)
     tall: dict[str, Any] = {"width": "stretch", "on_change": "rerun"}
-    with new.popover(_("New round"), icon=":material/add:", key=_popover_key(_BEGINNING), **tall):
+    with new.popover(_("New round"), icon=":material/add:", key=f"new_{closed}", **tall):
         _begin(rounds.values())
-    tall |= {"help": _("Rename or delete")}
-    with change.popover("", icon=":material/edit:", key=_popover_key(_CHANGING), **tall):
+    tall |= {"help": _("Rename or delete"), "key": f"change_{closed}"}
+    with change.popover("", icon=":material/edit:", **tall):
         _change(round_summary)
     return round_summary
 
 
-def _popover_key(name: str) -> str:
-    return f"{name}_{st.session_state.get(name, 0)}"
+def _do(act: Callable[[], object]) -> None:
+    """Do what a button of a popover asks for, and close it.
 
-
-def _close(name: str) -> None:
-    """Close a popover from inside it.
-
-    It gets a new key: where a button in it is pressed before the server has drawn it open, the
-    browser ignores a state that says closed, since none ever said open.
+    The popovers get new keys: where a button in one is pressed before the server has drawn it open,
+    the browser ignores a state that says closed, since none ever said open.
     """
-    st.session_state[name] = st.session_state.get(name, 0) + 1
-
-
-def missing_round() -> str:
-    """Return the round in the address if it does not exist, else an empty text."""
-    return str(st.session_state.get(_MISSING) or "")
+    act()
+    st.session_state["popovers_closed"] += 1
 
 
 def _begin(rounds: Collection[Round]) -> None:
@@ -120,35 +145,23 @@ def _begin(rounds: Collection[Round]) -> None:
     st.text_input(_("House"), placeholder=_(resources.USUAL_HOUSE), key="new_house")
     if len(houses) > 1:
         st.pills(_("Known houses"), houses, key="known_house", on_change=_choose_house)
-    titles = resources.crop_titles()
-    usual = resources.settings().profile
-    crop = st.selectbox(
-        _("Crop"),
-        list(titles),
-        index=list(titles).index(usual) if usual in titles else 0,
-        format_func=titles.__getitem__,
-    )
+    titles, saved = resources.crop_titles(), resources.settings().profile
+    usual = list(titles).index(saved) if saved in titles else 0
+    crop = page_elements.choose(st.selectbox, _("Crop"), titles, index=usual)
 
     def begin(key: str) -> None:
         # Read the fields' current values: the page may not have been redrawn since they changed.
         name, house = (str(st.session_state.get(key, "")) for key in ("new_name", "new_house"))
         record = resources.new_round(name, house, crop, key)
-        try:
-            resources.store().save_round(record)
-        except CucumberVisionError as error:
-            st.session_state["begin_fault"] = words_of(error)
-            return
+        resources.store().save_round(record)
         if (same := same_house(record.house, houses)) != " ".join(record.house.split()):
             words = _("The round is in the house '{house}', which is known by that name.")
             st.toast(plain(words.format(house=same)))
         st.session_state["round"] = record.key
-        _close(_BEGINNING)
 
     # Pressed twice before the page is drawn again, it begins the same round.
-    button: dict[str, Any] = {"key": f"begin_{_popover_key(_BEGINNING)}", "args": (new_key(),)}
-    st.button(_("Start this round"), type="primary", width="stretch", on_click=begin, **button)
-    if fault := st.session_state.pop("begin_fault", None):
-        st.warning(sentence(fault), icon=":material/error:")
+    act = partial(begin, new_key())
+    button(st, _("Start this round"), "add", _do, act, type="primary")
 
 
 def _choose_house() -> None:
@@ -156,35 +169,18 @@ def _choose_house() -> None:
 
 
 def _change(walk: Round | None) -> None:
-    if fault := st.session_state.pop("round_fault", None):
-        st.warning(sentence(fault), icon=":material/error:")
     if walk is not None:
         title = _(resources.profile_of(walk)[1].title)
         st.caption(plain(_("Crop: {title}").format(title=title)))
         field = f"name_{walk.key}_{walk.name}"  # a new field where somebody renamed it
         name = st.text_input(_("Name of this round"), walk.name, key=field)
-        _button(_("Rename"), partial(_rename, walk, field), disabled=not name.strip())
+        rename = partial(_rename, walk, field)
+        button(st, _("Rename"), "edit", _do, rename, disabled=not name.strip())
         _house(walk)
-        _button(_("Delete this round"), partial(_delete, walk.key), icon=":material/delete:")
+        button(st, _("Delete this round"), "delete", _do, partial(_delete, walk.key))
     for gone in resources.store().rounds(deleted=True):
         words = _("Restore: {round}").format(round=plain(round_name(gone)))
-        _button(
-            words, partial(_bring_back, gone.key), icon=":material/undo:", key=f"back_{gone.key}"
-        )
-
-
-def _button(label: str, act: Callable[[], None], **how: Any) -> None:
-    """Draw a button that changes a round and closes the popover, or shows the fault in it."""
-
-    def do() -> None:
-        try:
-            act()
-        except CucumberVisionError as error:
-            st.session_state["round_fault"] = words_of(error)
-        else:
-            _close(_CHANGING)
-
-    st.button(label, width="stretch", on_click=do, **how)
+        button(st, words, "undo", _do, partial(_bring_back, gone.key), key=f"back_{gone.key}")
 
 
 def _house(walk: Round) -> None:
@@ -202,9 +198,9 @@ def _house(walk: Round) -> None:
     if same_name in houses:
         words = _("Merge the house with '{house}'").format(house=same_name)
     words = f"{plain(words)} ({counted(len(of_house), '{n} round', '{n} rounds')})"
-    _button(_("Move this round"), partial(_move, [key], house, typed))
+    button(st, _("Move this round"), "house", _do, partial(_move, [key], house, typed))
     if house:  # rounds without a house are not of one house
-        _button(words, partial(_move, of_house, house, typed))
+        button(st, words, "merge", _do, partial(_move, of_house, house, typed))
 
 
 def _move(keys: list[str], seen: str, house: str) -> None:

@@ -13,16 +13,15 @@ from cucumbervision_greenhouse import words as texts
 from cucumbervision_greenhouse.language import counted
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.pages import page_elements
-from cucumbervision_greenhouse.pages.round_choice import label_options
+from cucumbervision_greenhouse.pages.round_choice import label_options, of_round
 from cucumbervision_greenhouse.round_view import RoundView
-from cucumbervision_greenhouse.rounds.fruit_table import least_sure_first
 from cucumbervision_greenhouse.rounds.merge_and_link import move_stop
 from cucumbervision_greenhouse.rounds.walking import sides_of
 from cucumbervision_greenhouse.row_drawing import sheet
 from cucumbervision_greenhouse.store.records import StopRecord
 
 
-@page_elements.of_round
+@of_round
 def page(walk: RoundView) -> None:
     """Draw the page."""
     drawing, undo = st.container(), st.container()
@@ -50,19 +49,6 @@ def _rows(walk: RoundView, opened: str) -> None:
             "an outline: picked. Tap a fruit to open it; two fingers, or Ctrl and wheel, enlarge."
         )
     )
-    if (ready := walk.ready) is not None:
-        st.caption(texts.ready_words(ready))
-    if unsure := least_sure_first(walk.fruit):
-        says, go = st.columns([3, 2], vertical_alignment="center")
-        says.markdown(
-            counted(
-                len(unsure),
-                "{n} fruit was seen from one stop only: may be wrong or counted twice.",
-                "{n} fruit were seen from one stop only: may be wrong or counted twice.",
-            )
-        )
-        with go:
-            page_elements.link("results", _("Show the least certain"), fruit=unsure[0].key)
     save: dict[str, Any] = {"file_name": f"{walk.round.name or 'row'}.svg", "mime": "image/svg+xml"}
     st.download_button(_("Save as SVG"), sheet(drawn), icon=":material/download:", **save)
 
@@ -137,5 +123,5 @@ def change_stop(stop: StopRecord, sides: Sequence[str]) -> None:
 
 def _do(round_key: str, act: Callable[[], int]) -> None:
     """Do it, and find the round's fruit anew."""
-    if page_elements.do(act):
-        tasks.merge(round_key)
+    act()
+    tasks.merge(round_key)

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import streamlit as st
 
 from cucumbervision.accuracy.calibration_file import read_site_calibration
-from cucumbervision.errors import CucumberVisionError
-from cucumbervision.methods.result import LengthDefinition, Selector
+from cucumbervision.methods.result import Selector
 from cucumbervision_greenhouse import resources
 from cucumbervision_greenhouse.camera import cameras
-from cucumbervision_greenhouse.language import DRAFTS, LANGUAGES, marked, plain
+from cucumbervision_greenhouse.language import LANGUAGES, marked, plain
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.pages import calibrations, crop, page_elements
 from cucumbervision_greenhouse.settings import EXPOSURE_US, PRESETS
@@ -24,6 +24,9 @@ _FINDERS = {
     "dataset": marked("A capture's own masks"),
 }
 
+
+_SELECT = partial(page_elements.choose, st.selectbox)
+_SEGMENTS = partial(page_elements.choose, st.segmented_control, required=True)
 
 _INPUT_SIZES_PX = (320, 448, 640, 960, 1280)  # that are offered; a file may name others
 
@@ -40,7 +43,15 @@ def page() -> None:
         calibrations.draw_choice()
         page_elements.link("accuracy", _("Calibrate on 'Accuracy'"))
     with st.expander(_("Details: networks and method"), icon=":material/list:"):
-        _other_calibration()
+        page_elements.setting(
+            "calibration",
+            st.text_input,
+            _("Calibration file"),
+            field="_file",
+            meant=_readable,
+            placeholder=_("none"),
+            help=_("As `cucumbervision calibrate` writes it."),
+        )
         _how()
         _models()
     st.caption(_("Store: {name}").format(name=plain(resources.store().name)))
@@ -48,49 +59,23 @@ def page() -> None:
 
 def _crop() -> None:
     st.header(_("Crop and units"))
-    _language()
-    page_elements.setting(
-        "unit",
-        st.segmented_control,
-        _("Lengths in"),
-        ["cm", "in"],
-        format_func={"cm": _("Centimetres"), "in": _("Inches")}.__getitem__,
-        required=True,
-    )
+    names = {"": _("As the browser")} | LANGUAGES
+    page_elements.setting("language", _SELECT, _("Language"), names)
+    units = {"cm": _("Centimetres"), "in": _("Inches")}
+    page_elements.setting("unit", _SEGMENTS, _("Lengths in"), units)
     crop.draw()
-
-
-def _language() -> None:
-    """Draw the choice of the language, which all pages show at once."""
-    # A reader of that language sees in it that its texts are a draft.
-    draft = {"nl": " (concept)", "es": " (borrador)"}
-    names = {"": _("As the browser")}
-    names |= {x: name + draft.get(x, "") * (x in DRAFTS) for x, name in LANGUAGES.items()}
-    choose: dict[str, Any] = {"format_func": names.__getitem__}
-    page_elements.setting("language", st.selectbox, _("Language"), list(names), **choose)
 
 
 def _measuring() -> None:
     st.header(_("Measuring"))
-    page_elements.setting(
-        "length",
-        st.segmented_control,
-        _("Length definition"),
-        list(LengthDefinition),
-        format_func=lambda x: _(LENGTH_NAMES[x]),
-        required=True,
-        help=_(
-            "Thread: over the outer side, as people measure by hand. Centreline: along the "
-            "middle. Chord: straight from end to end."
-        ),
+    lengths = {kind: _(words) for kind, words in LENGTH_NAMES.items()}
+    help_ = _(
+        "Thread: over the outer side, as people measure by hand. Centreline: along the middle. "
+        "Chord: straight from end to end."
     )
-    page_elements.setting(
-        "fruit_from",
-        st.selectbox,
-        _("Find fruit by"),
-        list(_FINDERS),
-        format_func=lambda name: _(_FINDERS[name]),
-    )
+    page_elements.setting("length", _SEGMENTS, _("Length definition"), lengths, help=help_)
+    finders = {name: _(words) for name, words in _FINDERS.items()}
+    page_elements.setting("fruit_from", _SELECT, _("Find fruit by"), finders)
     exact = _("Same lengths on every computer (slower)")
     page_elements.setting("full_precision", st.toggle, exact)
     page_elements.setting("burst", st.number_input, _("Frames per photo"), 1, 15)
@@ -98,25 +83,11 @@ def _measuring() -> None:
     page_elements.setting("upload_limit_mb", st.number_input, limit_mb, 1, 1_000_000, step=100)
 
 
-def _other_calibration() -> None:
-    """Draw a field for a calibration file from elsewhere."""
-    saved = resources.settings().calibration
-    calibration = st.text_input(
-        _("Calibration file"),
-        saved,
-        placeholder=_("none"),
-        help=_("As `cucumbervision calibrate` writes it."),
-    ).strip()
-    if calibration == saved:
-        return
-    try:
-        if calibration:
-            read_site_calibration(Path(calibration))
-    except CucumberVisionError as error:
-        st.error(plain(error), icon=":material/error:")
-    else:
-        resources.change_settings(calibration=calibration)
-        st.rerun()
+def _readable(path: str) -> str:
+    """Return the path of a calibration file, or nothing; raise the error of one that is none."""
+    if path := path.strip():
+        read_site_calibration(Path(path))
+    return path
 
 
 _EXPOSURES = {
@@ -130,23 +101,18 @@ _USUAL_US = 8000.0  # a bright house
 def _camera() -> None:
     """Draw preset and exposure; the camera is opened again where they change."""
     st.header(_("Camera"))
-    page_elements.setting(
-        "camera_preset",
-        st.selectbox,
-        _("Depth preset"),
-        PRESETS,
-        format_func=lambda name: name.replace("-", " ") or _("Camera default"),
-    )
+    presets = {name: name.replace("-", " ") or _("Camera default") for name in PRESETS}
+    page_elements.setting("camera_preset", _SELECT, _("Depth preset"), presets)
+    exposures = {name: _(words) for name, words in _EXPOSURES.items()}
     page_elements.setting(
         "exposure_us",
-        st.selectbox,
+        _SELECT,
         _("Exposure of the colour camera"),
-        list(_EXPOSURES),
+        exposures,
         field="_by",
         shown=lambda us: None if us is None else "fixed" if us else "automatic",
         meant={None: None, "automatic": 0.0, "fixed": _USUAL_US}.__getitem__,
-        format_func=lambda name: _(_EXPOSURES[name]),
-        placeholder=_(_EXPOSURES[None]),  # a choice of None counts as no choice
+        placeholder=exposures[None],  # a choice of None counts as no choice
     )
     if resources.settings().exposure_us:
         how: dict[str, Any] = {"step": 500.0, "format": "%.0f"}
@@ -167,14 +133,8 @@ def _how() -> None:
         meant=lambda sizes_px: tuple(sizes_px[-2:]),
         selection_mode="multi",
     )
-    page_elements.setting(
-        "selector",
-        st.segmented_control,
-        _("Choice of method"),
-        list(Selector),
-        format_func={Selector.BEST: _("Best"), Selector.PAPER: _("As in the paper")}.__getitem__,
-        required=True,
-    )
+    selectors = {Selector.BEST: _("Best"), Selector.PAPER: _("As in the paper")}
+    page_elements.setting("selector", _SEGMENTS, _("Choice of method"), selectors)
 
 
 def _models() -> None:

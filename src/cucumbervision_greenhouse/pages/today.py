@@ -17,96 +17,51 @@ from cucumbervision_greenhouse.language import counted, marked, plain
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.pages import page_elements
 from cucumbervision_greenhouse.pages.page_elements import button
-from cucumbervision_greenhouse.pages.round_choice import label_options
+from cucumbervision_greenhouse.pages.round_choice import label_options, of_round
 from cucumbervision_greenhouse.round_view import RoundView, doubtful
 from cucumbervision_greenhouse.rounds.forecasting import Age, Today
 from cucumbervision_greenhouse.rounds.walking import is_demonstration
-from cucumbervision_greenhouse.store.records import Round
 
 
-@page_elements.of_round
+@of_round
 def page(walk: RoundView) -> None:
     """Draw the page."""
-    round_summary = walk.round
-    today = round_view.today_of(round_summary)
-    _age(round_summary, today)
+    today = round_view.today_of(walk.round)
+    page_elements.draw_age(walk.round)
+    if is_demonstration(walk.key):
+        st.info(_("A computer-made example."), icon=":material/draw:")
     _next(walk, today)
     if not today.rows or today.forecast is None:
         return
     _ready(walk, today.forecast)
     st.header(_("Pick list"))
-    address = f"/api/print/{round_summary.key}"
-    st.link_button(_("Print"), address, icon=":material/print:", width="stretch")
+    st.link_button(_("Print"), f"/api/print/{walk.key}", icon=":material/print:", width="stretch")
     _picks(walk, today)
-
-
-def _age(round_summary: Round, today: Today) -> None:
-    if not round_summary.stops:
-        return
-    days, walked = today.age_days, texts.round_day(round_summary.walked_s)
-    if days < 0:
-        st.warning(texts.clock_words(round_summary.walked_s), icon=":material/error:")
-        return
-    if today.age is Age.USELESS:
-        words = _(
-            "This round is {age} (walked on {when}): it is too old for today. Walk the house again "
-            "for today's list."
-        )
-        words = words.format(age=texts.age_words(days), when=walked)
-        st.warning(words, icon=":material/history:")
-        return
-    words = _("**Measured today** (last stop {when}).")
-    if days:
-        words = _("**Measured yesterday** (last stop {when}).")
-    if days > 1:
-        words = counted(
-            days,
-            "**Measured {n} day ago** (last stop {when}).",
-            "**Measured {n} days ago** (last stop {when}).",
-            when=walked,
-        )
-    (st.warning if today.age is Age.OLD else st.markdown)(words.format(when=walked))
-    if is_demonstration(round_summary.key):
-        st.info(_("A computer-made example."), icon=":material/draw:")
 
 
 def _next(walk: RoundView, today: Today) -> None:
     """Show what to do next, with a link to the page for it."""
-    round_summary = walk.round
-    progress = tasks.progress(round_summary.key)
-    steps: list[tuple[str, str, str]] = []
-    if progress.waiting:
+    waiting = tasks.progress(walk.key).waiting
+    if waiting:
         tasks.wake()
-    if not round_summary.stops and progress.first:
-        steps.append((progress.first, "capture", _("Capture")))
-    elif progress.waiting:
         words = counted(
-            progress.waiting,
+            waiting,
             "{n} capture is still being measured.",
             "{n} captures are still being measured.",
         )
-        steps.append((words, "capture", _("Capture")))
-    if not round_summary.stops and is_demonstration(round_summary.key) and progress.words:
-        st.info(_("The example is being measured; its fruit appear here."))
-    elif not round_summary.stops and not progress.first:
-        page_elements.first_steps(begun=True)
-    elif round_summary.stops and today.age is not Age.FRESH:
-        steps.append((_("Start a new round and walk again."), "capture", _("Capture")))
-    elif round_summary.stops and not today.rows and not progress.waiting:
+        page_elements.step(words, "capture", _("Capture"))
+    if today.age is not Age.FRESH:
+        page_elements.step(_("Start a new round and walk again."), "capture", _("Capture"))
+    elif not today.rows and not waiting:
         words = _("No fruit is ready today. The forecast shows when.")
-        steps.append((words, "forecast", _("Forecast")))
-    if unsure := len(doubtful(walk.content.views)):
+        page_elements.step(words, "forecast", _("Forecast"))
+    if unsure := doubtful(walk.fruit):
         words = counted(
-            unsure,
+            len(unsure),
             "{n} fruit was seen only once, with low confidence. Please check.",
             "{n} fruit were seen only once, with low confidence. Please check.",
         )
-        steps.append((words, "map", _("Row map")))
-    for words, target, label in steps:
-        says, go = st.columns([3, 1], vertical_alignment="center")
-        says.markdown(f":material/arrow_forward: {words}")
-        with go:
-            page_elements.link(target, label)
+        page_elements.step(words, "results", _("Show the least certain"), fruit=unsure[0].key)
 
 
 def _ready(walk: RoundView, forecast: Forecast) -> None:
@@ -124,9 +79,7 @@ def _ready(walk: RoundView, forecast: Forecast) -> None:
             _("Too long"): ready.too_long,
         }
 
-    with st.container(horizontal=True):
-        for label, value in numbers().items():
-            st.metric(plain(label), value, width="content")
+    page_elements.metrics(numbers())
     if len(rows := forecast.rows) > 1:
         page_elements.table([{_("Row"): row or _("not named"), **numbers(row)} for row in rows])
     words = _(
@@ -166,6 +119,7 @@ def _picks(walk: RoundView, today: Today) -> None:
             format_func=label,
             key="pick_row",
             required=True,
+            persist_state="session",
         )
         row = next(iter(rows)) if name is None else name
         page_elements.name_in_address("row", row)
@@ -233,8 +187,8 @@ def _all_picked(walk: RoundView, row: str, unpicked: list[str]) -> None:
     with st.container(key="noprint"):
         mark, undo = st.columns(2)
         words = _("All of row {row} are picked").format(row=plain(row))
-        mark_all = partial(page_elements.do, partial(resources.store().pick, unpicked))
-        button(mark, words, "done_all", mark_all, disabled=not unpicked)
+        pick = resources.store().pick
+        button(mark, words, "done_all", pick, unpicked, disabled=not unpicked)
         with undo:
             page_elements.draw_undo(walk.key)
         st.caption(_("Tap a fruit when it is picked. Tap again to undo."))

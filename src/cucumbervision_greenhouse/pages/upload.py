@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict
+from functools import partial
 from typing import Any
 
 import streamlit as st
@@ -15,6 +16,7 @@ from cucumbervision_greenhouse.language import counted, plain, sentence, words_o
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.pages import page_elements
 from cucumbervision_greenhouse.pages.page_elements import component
+from cucumbervision_greenhouse.pages.round_choice import of_round
 from cucumbervision_greenhouse.round_view import RoundView
 from cucumbervision_greenhouse.rounds.walking import NextPlace, next_place, sides_of
 from cucumbervision_greenhouse.store.records import Round
@@ -26,7 +28,7 @@ _SHOWN = 5  # uploads whose outcomes are shown
 _ENDINGS = [*("zip", "json", "csv", "raw"), *("png", "jpg", "jpeg", "tif", "tiff", "npy")]
 
 
-@page_elements.of_round
+@partial(of_round, needs_stops=False)
 def page(walk: RoundView) -> None:
     """Draw the page."""
     round_summary = walk.round
@@ -37,15 +39,13 @@ def page(walk: RoundView) -> None:
         )
     )
     place = _place(round_summary)
-    camera = st.selectbox(
-        _("Camera of pictures without a camera file"),
-        ["", *CAMERAS],
-        format_func=lambda name: name or _("unknown: do not measure them"),
-        help=_(
-            "Typical figures differ from those of your camera by 1 to 2 %, and so do the lengths. "
-            "Upload your camera's own file if you have one."
-        ),
+    cameras = {"": _("unknown: do not measure them")} | {name: name for name in CAMERAS}
+    label = _("Camera of pictures without a camera file")
+    help_ = _(
+        "Typical figures differ from those of your camera by 1 to 2 %, and so do the lengths. "
+        "Upload your camera's own file if you have one."
     )
+    camera = page_elements.choose(st.selectbox, label, cameras, help=help_)
     component("upload")(
         key=f"upload_{round_summary.key}",
         data={
@@ -87,43 +87,32 @@ def _place(round_summary: Round) -> NextPlace:
 
     def field(name: str, value: object) -> dict[str, Any]:
         st.session_state.setdefault(f"{fields}_{name}", value)
-        return {"key": f"{fields}_{name}", "on_change": keep}
+        return {"key": f"{fields}_{name}", "on_change": keep, "persist_state": "session"}
 
     # In two lines, so that no choice is cut off on a tablet.
-    row, side = st.columns(2)
+    row_column, side_column = st.columns(2)
     position, step, way = st.columns([2, 2, 3])
     typed = st.query_params.get("row", next_place(stops).row)[:LONGEST_NAME]
-    named = row.text_input(_("Row"), max_chars=LONGEST_NAME, **field("row", typed)).strip()
-    of_row = [stop for stop in stops if (stop.row or "") == named]
-    usual = next_place(of_row) if of_row else NextPlace(named)
+    row = row_column.text_input(_("Row"), max_chars=LONGEST_NAME, **field("row", typed)).strip()
+    of_row = [stop for stop in stops if (stop.row or "") == row]
+    usual = next_place(of_row) if of_row else NextPlace(row)
     try:
-        named = checked_name(named, "row")
+        name = checked_name(row, "row")
     except NameRefusedError as error:
         st.warning(sentence(error), icon=":material/error:")
-        named = ""
-    at_words, step_words = _("First at [{unit}]"), _("Step [{unit}]")
-    side_of = field(f"side{named}", usual.side if usual.side in sides else sides[0])
-    first = field(f"at{named}", usual.position_m * per_metre)
-    stride = field(f"step{named}", usual.step_m * per_metre)
-    walking = field(f"way{named}", "down" if usual.back else "up")
-    how: dict[str, Any] = {"required": True, "width": "stretch"}
-    return NextPlace(
-        named,
-        side.segmented_control(_("Side"), sides, format_func=_side_words, **how, **side_of)
-        or sides[0],
-        position.number_input(at_words.format(unit=unit), 0.0, step=0.1, format="%.2f", **first)
-        / per_metre,
-        step.number_input(step_words.format(unit=unit), 0.0, 5.0 * per_metre, step=0.1, **stride)
-        / per_metre,
-        way.segmented_control(
-            _("Walking"),
-            ["up", "down"],
-            format_func={"up": _("up the row"), "down": _("down the row")}.__getitem__,
-            **how,
-            **walking,
-        )
-        == "down",
-    )
+        name = ""
+    segments = partial(page_elements.choose, required=True, width="stretch")
+    side_of = field(f"side{row}", usual.side if usual.side in sides else sides[0])
+    names = {side: _side_words(side) for side in sides}
+    side = segments(side_column.segmented_control, _("Side"), names, **side_of)
+    words = _("First at [{unit}]").format(unit=unit)
+    place = field(f"at{row}", usual.position_m * per_metre)
+    first = position.number_input(words, 0.0, step=0.1, format="%.2f", **place)
+    words, apart = _("Step [{unit}]").format(unit=unit), usual.step_m * per_metre
+    stride = step.number_input(words, 0.0, 5.0 * per_metre, step=0.1, **field(f"step{row}", apart))
+    ways = {False: _("up the row"), True: _("down the row")}
+    is_back = segments(way.segmented_control, _("Walking"), ways, **field(f"way{row}", usual.back))
+    return NextPlace(name, side or sides[0], first / per_metre, stride / per_metre, bool(is_back))
 
 
 def _side_words(side: str) -> str:

@@ -115,6 +115,8 @@ def keep_harvest(
         If there is none, a day is outside the rounds of the house, or more fruit were picked than
         were seen.
     """
+    if not lines:
+        raise RoundError("no picked fruit were entered", remedy="enter how many were picked")
     walks = rounds_of_house(store, round_key)
     table_of = lru_cache(lambda key: fruit_table(read_round(store, key)))  # once a round
     picked: dict[tuple[date, str], float] = defaultdict(float)

@@ -141,14 +141,16 @@ def test_the_last_stop_is_taken_back_measured_or_not(
 ) -> None:
     monkeypatch.setattr(tasks, "wake", lambda: None)  # nothing is measured
     (saved,) = press(asked, sent("a", time.time() + 0.01))
-    answer = asked.post("/api/undo", json={"stop": saved["stop"]}).json()
+    pressed = {"round": WALK, "at_s": time.time()}
+    answer = asked.post("/api/undo", json={**pressed, "stop": saved["stop"]}).json()
     assert answer == {"words": "Stop 1: row 1, left, 9.00 m: deleted"}
     assert resources.waiting().captures() == []
     last = store.stops(WALK)[-1]
-    assert "was deleted" in asked.post("/api/undo", json={"stop": last.key}).json()["words"]
+    deleted = asked.post("/api/undo", json={**pressed, "stop": last.key}).json()
+    assert "was deleted" in deleted["words"]
     wait_for_jobs()
     assert store.stop_is_deleted(last.key)
-    gone = asked.post("/api/undo", json={"stop": key_of("no stop")})
+    gone = asked.post("/api/undo", json={**pressed, "stop": key_of("no stop")})
     assert gone.status_code == 409
     assert "\n" not in gone.json()["error"]
 
@@ -192,7 +194,7 @@ def test_undo_after_a_fruit_was_added_leaves_its_stop(asked: TestClient, store: 
     one = capture.fruit[0]
     store.signed("dashboard").add_fruit(stop.key, capture.name, one.with_(mask=None))
     before = len(store.detections(WALK))
-    asked.post("/api/undo", json={"stop": stop.key})
+    asked.post("/api/undo", json={"round": WALK, "stop": stop.key, "at_s": stop.taken_s})
     assert store.stop_is_deleted(stop.key) is False
     assert len(store.detections(WALK)) == before - 1
 

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import threading
 import time
+from concurrent.futures import Future
 from pathlib import Path
 
 import numpy as np
@@ -16,13 +17,13 @@ from cucumbervision.errors import StoreError
 from cucumbervision.networks.registry import load_registry
 from cucumbervision.run.options import MeasureOptions
 from cucumbervision_greenhouse.camera.cameras import Feed, FolderFeed, StreamCamera
-from cucumbervision_greenhouse.camera.shutter import Pressed, Shutter
-from cucumbervision_greenhouse.jobs import Job
+from cucumbervision_greenhouse.camera.shutter import Shutter, is_lost
+from cucumbervision_greenhouse.jobs import Job, fault_of
 from cucumbervision_greenhouse.measuring import SharedMeasurer, measure_waiting
 from cucumbervision_greenhouse.rounds.walking import DEMONSTRATION
 from cucumbervision_greenhouse.store.records import key_of
 from cucumbervision_greenhouse.store.repository import Store
-from cucumbervision_greenhouse.store.waiting import WaitingCaptures
+from cucumbervision_greenhouse.store.waiting import Waiting, WaitingCaptures
 
 WALK = key_of("walk")
 
@@ -93,7 +94,7 @@ def test_a_press_whose_picture_is_gone_is_refused_and_told(
     shutter.close()
     feed.close()
     assert refused is not None
-    assert "no picture of that moment" in refused.error
+    assert "no picture of that moment" in fault_of(refused)
     assert waiting.captures() == []
 
 
@@ -104,13 +105,13 @@ def test_every_press_of_a_walk_with_gaps_has_its_picture(
     until_s = time.time()
     feeds: tuple[Feed | FolderFeed, ...] = held(tmp_path, 30.0, until_s), folder()
     for feed in feeds:
-        shutter, told = Shutter(store, waiting, lambda: None), list[Pressed | None]()
+        shutter, told = Shutter(store, waiting, lambda: None), list[Future[Waiting] | None]()
         moments = [until_s - 30.0 + 0.5 * k for k in range(60)]
         for number in sorted(range(60), key=lambda k: (k // 20 == 1, k)):
             place = Stop("1", "left", 0.4 * number)
             told.append(shutter.press(feed, 1, WALK, place, f"{number}", moments[number]))
         shutter.close()
-        assert [one and one.error for one in told] == [""] * 60
+        assert [one and fault_of(one) for one in told] == [""] * 60
         assert len(waiting.captures()) == 60
         for one in waiting.captures():
             waiting.done(one)
@@ -177,12 +178,12 @@ def test_a_press_that_the_disk_refused_is_saved_when_it_is_sent_again(
     now = time.time()
     refused = shutter.press(feed, 5, WALK, stop, "a", now)
     assert refused is not None
-    assert isinstance(refused.queued.exception(60), StoreError)
-    assert not refused.is_lost
+    assert isinstance(refused.exception(60), StoreError)
+    assert not is_lost(refused)
     (tmp_path / "kept").unlink()
     saved = shutter.press(feed, 5, WALK, stop, "a", now)
     assert saved is not None
-    saved.queued.result(60)
+    saved.result(60)
     feed.close()
     shutter.close()
     assert [one.pressed_s for one in waiting.captures()] == [now]

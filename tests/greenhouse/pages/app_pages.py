@@ -18,11 +18,7 @@ PAGES = ("today", "upload", "results", "row_map", "days", "forecast", "accuracy"
 
 
 def app(page: str, draw: str = "page", **state: Any) -> AppTest:
-    script = (
-        "from cucumbervision_greenhouse.pages.app import keep_inputs\n"
-        f"from cucumbervision_greenhouse.pages import {page}\n"
-        f"keep_inputs()\n{page}.{draw}()\n"
-    )
+    script = f"from cucumbervision_greenhouse.pages import {page}\n{page}.{draw}()\n"
     test = AppTest.from_string(script, default_timeout=600)
     for name, value in state.items():
         if name in ("fruit", "stop", "row"):  # the address names them
@@ -33,7 +29,8 @@ def app(page: str, draw: str = "page", **state: Any) -> AppTest:
 
 
 def said(test: AppTest) -> str:
-    parts = [*test.info, *test.warning, *test.error, *test.success, *test.markdown, *test.caption]
+    notes = [*test.info, *test.warning, *test.error, *test.success, *test.toast]
+    parts = [*notes, *test.markdown, *test.caption]
     return "\n".join(str(part.value) for part in parts).replace("\\", "")  # as it is drawn
 
 

@@ -120,6 +120,22 @@ def test_back_and_reload_come_to_the_same_place(
     page.context.close()
 
 
+def test_a_bar_at_the_bottom_leads_on_and_the_list_is_beside_its_fruit_where_there_is_room(
+    address: tuple[str, dict[str, str]], new_page: Callable[..., Any]
+) -> None:
+    page, desk = new_page(*SIZES["phone"], has_touch=True), new_page(*SIZES["desktop"])
+    for one in (page, desk):
+        one.goto(f"{address[0]}/results?round={TODAY}")
+        one.locator(".fruit button").first.click()
+        one.locator("svg.view").wait_for()
+    assert desk.locator(".fruit button[aria-current]").count() == 1
+    desk.locator(".fruit button:not([aria-current])").last.click()
+    desk.locator(".fruit button:last-child[aria-current]").wait_for()
+    page.get_by_role("button", name="More").tap()
+    page.get_by_role("link", name="Forecast").last.tap()
+    page.get_by_text("if nothing is picked").first.wait_for()
+
+
 def test_a_keyboard_is_four_stops_from_the_list(
     address: tuple[str, dict[str, str]], new_page: Callable[..., Any]
 ) -> None:
@@ -147,8 +163,7 @@ def test_fruit_are_reviewed_by_keys(
 ) -> None:
     page = new_page(*SIZES["desktop"])
     page.goto(f"{address[0]}/results?round={TODAY}")
-    page.get_by_text("Pictures", exact=True).click()
-    page.locator(".fruit.grid button").first.click()
+    page.locator(".fruit button").first.click()
 
     def button(key: str) -> Any:
         return page.locator(f"[class*='st-key-{key}_'] button")

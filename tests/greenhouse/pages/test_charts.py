@@ -9,7 +9,6 @@ pytest.importorskip("streamlit")
 
 from cucumbervision_greenhouse.language import day_month_words
 from cucumbervision_greenhouse.pages import charts
-from cucumbervision_greenhouse.pages.days import length_days
 from cucumbervision_greenhouse.settings import Units
 from cucumbervision_greenhouse.store.records import key_of
 from cucumbervision_greenhouse.store.repository import Store
@@ -35,7 +34,6 @@ def test_days_are_the_same_in_every_browser_wherever_it_is(
     views = store.detections(key_of("walk"))[:1]
     taken = datetime.fromtimestamp(views[0].taken_s)
     lines = [{"day": taken.date().isoformat(), "class": "class I", "fruit": 3}]
-    grown = length_days(views, cm)
-    for chart in (charts.trend_chart(lines), charts.growth_chart(grown, cm)):
+    for chart in (charts.trend_chart(lines), charts.growth_chart(views, cm)):
         (shown,) = (row["day"] for rows in chart.to_dict()["datasets"].values() for row in rows)
         assert shown == day_month_words(taken.date())

@@ -4,7 +4,6 @@ import re
 import time
 from datetime import date
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -12,11 +11,9 @@ pytest.importorskip("streamlit")
 
 
 from streamlit.testing.v1 import AppTest
-from tests.greenhouse.pages.app_pages import WALK, app, said, tables
+from tests.greenhouse.pages.app_pages import app, field, said, tables
 
 from cucumbervision_greenhouse import resources
-from cucumbervision_greenhouse.forecast.forecast import Forecast
-from cucumbervision_greenhouse.pages import charts
 from cucumbervision_greenhouse.store.repository import open_store
 
 pytestmark = pytest.mark.usefixtures("fresh_caches")
@@ -29,27 +26,6 @@ def test_the_forecast_names_days_by_their_dates(house: Path) -> None:
     assert days[:3] == ["today", "tomorrow", time.strftime("%a %-d %b", in_two_days)]
     # Some of the eight bundled fruit are class I as they were measured.
     assert "class I today" in said(test)
-
-
-def test_the_chart_is_made_once_and_again_for_other_words_or_numbers(
-    house: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    made, make = [], charts.forecast_chart
-
-    def counted(prediction: Forecast) -> Any:
-        made.append(prediction)
-        return make(prediction)
-
-    monkeypatch.setattr(charts, "forecast_chart", counted)
-    test = app("forecast")
-    assert len(test.run().get("vega_lite_chart")) == len(made) == 1
-    resources.change_settings(language="nl")
-    assert len(test.run().get("vega_lite_chart")) == 1
-    assert len(made) == 2
-    with open_store(house) as store:
-        store.pick([store.detections(WALK)[0].key])
-    test.run()
-    assert len(made) == 3
 
 
 def test_work_is_drawn_where_it_is_open(house: Path) -> None:
@@ -76,8 +52,9 @@ def test_rates_beyond_the_limits_of_their_fields_are_shown(house: Path) -> None:
     assert {name: getattr(resources.settings(), name) for name in rates} == rates
 
 
-def _kept(test: AppTest, text: str) -> AppTest:
-    test.text_area(key="harvest").set_value(text)
+def _kept(test: AppTest, text: str = "") -> AppTest:
+    if text:
+        test.file_uploader[0].set_value(("harvest.csv", text.encode(), "text/csv"))
     [button] = [x for x in test.button if x.label == "Keep this harvest"]
     return button.click().run()
 
@@ -87,12 +64,19 @@ def test_a_harvest_is_kept_beside_what_was_forecast_and_a_wrong_one_changes_noth
 ) -> None:
     with open_store(house) as store:
         day = date.fromtimestamp(store.rounds()[0].walked_s)
-        test = app("forecast", forecast_tabs="Harvest")
+        test = app("forecast", forecast_tabs="Harvest", csv=True)
+        assert "No picked fruit were entered" in said(_kept(test))
         for text, fault in (
             (f"day;fruit\n{day.replace(year=day.year - 1)};2", "is not between the first round"),
             (f"day;fruit\n{day};200", "200 fruit were picked on"),
         ):
             assert fault in said(_kept(test, text))
             assert store.log(kind="harvest") == []
-        *_, kept = tables(_kept(test, f"day;fruit;kg\n{day};2;0,9"))
-        assert kept[0]["Harvest"] == "2 (0.9 kg)"
+        test = _kept(test, f"day;fruit;kg\n{day};2;0,9")
+        assert tables(test)[-1][0]["Harvest"] == "2 (0.9 kg)"
+        test.selectbox(key="harvest_day").set_value(day)
+        field(test, "number_input", "class I: fruit").set_value(3)
+        field(test, "number_input", "kg").set_value(1.2)
+        test = _kept(test.run())
+        assert tables(test)[-1][0]["Harvest"] == "5 (2.1 kg)"
+        assert field(test, "number_input", "class I: fruit").value is None

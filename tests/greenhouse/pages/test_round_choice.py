@@ -183,11 +183,11 @@ def test_a_house_is_renamed_and_merged_on_the_page(house: Path) -> None:
         with open_store(house) as store:
             return sorted(x.house for x in store.rounds())
 
-    test = app("today", round=WALK, changing_round_0=True)
+    test = app("today", round=WALK, change_0=True)
     field(test, "text_input", "House").input("South").run()
     tap(test, "Rename the house (1 round)")
     assert houses() == ["North", "South"]
-    test = app("today", round=WALK, changing_round_0=True)
+    test = app("today", round=WALK, change_0=True)
     field(test, "text_input", "House").input("north").run()
     tap(test, "Merge the house with 'North' (1 round)")
     assert houses() == ["North", "North"]

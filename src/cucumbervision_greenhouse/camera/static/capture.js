@@ -391,19 +391,13 @@ async function pictureNode(capture, stop) {
 }
 
 function fruitTable(capture) {
-  const table = document.createElement("table");
-  const line = (cells, kind) => {
-    const row = document.createElement("tr");
-    for (const cell of cells) {
-      const node = document.createElement(kind);
-      if (kind === "th") node.scope = "col";
-      node.append(cell);
-      row.append(node);
-    }
-    return row;
-  };
-  const open = (one) => Object.assign(document.createElement("a"), { href: `/results?round=${own.home}&fruit=${one.key}`, textContent: fill(_("Fruit {number}"), one) });
-  table.append(line([_("Fruit"), _("Length"), _("Class")], "th"), ...capture.fruit.map((one) => line([open(one), one.length, one.class], "td")));
+  const table = document.createElement("table"), head = table.createTHead().insertRow(), body = table.createTBody();
+  for (const words of [_("Fruit"), _("Length"), _("Class")]) head.append(Object.assign(document.createElement("th"), { scope: "col", textContent: words }));
+  for (const one of capture.fruit) {
+    const row = body.insertRow(), href = `/results?round=${own.home}&fruit=${one.key}`;
+    row.insertCell().append(Object.assign(document.createElement("a"), { href, textContent: fill(_("Fruit {number}"), one) }));
+    for (const words of [one.length, one.class]) row.insertCell().textContent = words;
+  }
   return table;
 }
 

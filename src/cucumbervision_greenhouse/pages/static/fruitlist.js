@@ -16,7 +16,6 @@ export default function (component) {
   state.set(root, own);
   const list = root.querySelector(".fruit");
   list.setAttribute("aria-label", data.label);
-  list.classList.toggle("grid", Boolean(data.grid));
   if (!own.heard) {
     root.host.id = "list"; // where the link at the page's top leads
     // On the click, not on a new address: so a key that follows at once finds the focus there, and the link works twice.
@@ -46,6 +45,9 @@ export default function (component) {
       line.setAttribute("aria-pressed", String(isPicked(one)));
       box.textContent = isPicked(one) ? "✓" : "";
     };
+    line.toggleAttribute("aria-current", one.key === data.opened);
+    const pane = one.key === data.opened && own.opened !== data.opened && root.host.closest("[data-testid=stColumn]");
+    if (pane) queueMicrotask(() => { pane.scrollTop += line.getBoundingClientRect().top - 200; own.opened = data.opened; });
     line.setAttribute("aria-label", one.says.filter(Boolean).join(", "));
     line.onclick = () => {
       if (data.opens) { setTriggerValue("opened", one.key); return; }

@@ -1,7 +1,8 @@
-"""Who may open the dashboard: anyone on this machine; from elsewhere only with a login.
+"""Who may open the dashboard, and how its requests are answered.
 
-The login is a random token in the link that the program prints, as in Jupyter. Accounts of an
-identity provider log in at a proxy in front, which sends the token and the viewer's name.
+Anyone on this machine may open it; from elsewhere only with a login, which is a random token in the
+link that the program prints, as in Jupyter. Accounts of an identity provider log in at a proxy in
+front, which sends the token and the viewer's name.
 """
 
 from __future__ import annotations
@@ -11,16 +12,22 @@ import re
 import secrets
 from collections.abc import Awaitable, Callable, Mapping, MutableMapping
 from enum import StrEnum
-from typing import Any
+from functools import wraps
+from typing import Annotated, Any
 from urllib.parse import urlencode
 
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import MutableHeaders
-from starlette.requests import HTTPConnection
-from starlette.responses import PlainTextResponse, RedirectResponse, Response
+from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect, HTTPConnection, Request
+from starlette.responses import JSONResponse, PlainTextResponse, RedirectResponse, Response
 
 from cucumbervision.access import is_loopback
-from cucumbervision.errors import AccessError
+from cucumbervision.errors import AccessError, CucumberVisionError, DiskFullError, named_error
 from cucumbervision.service.requests import RequestError, bounded, check_source
+from cucumbervision_greenhouse.language import ask_for, words_of
+from cucumbervision_greenhouse.language import gettext as _
 
 COOKIE = "cucumbervision_token"
 DEVICE = "cucumbervision_device"
@@ -45,6 +52,12 @@ class Login(StrEnum):
 
     NONE = "none"
     TOKEN = "token"
+
+
+_REFUSALS = {
+    Login.TOKEN: "Open the link that the program printed at its start; it contains the token.",
+    Login.NONE: "This dashboard is open on its own machine only, at http://localhost.",
+}
 
 
 def decide_login(address: str, *, always: bool = False) -> Login:
@@ -146,7 +159,7 @@ class AccessGuard:
             answer.set_cookie(COOKIE, cookie, secure=safe, httponly=True, samesite="lax")
             await answer(scope, receive, send)
         elif not self._admits(request):
-            await _refuse(scope, receive, send, self._refusal)
+            await _refuse(scope, receive, send, _REFUSALS[self._login])
         elif scope["type"] == "websocket":
             await self._app(scope, receive, send)
         else:
@@ -178,12 +191,6 @@ class AccessGuard:
     def _is_token(self, sent: str, expected: str = "") -> bool:
         right = (expected or self._token).encode()
         return bool(self._token) and hmac.compare_digest(sent.encode(), right)
-
-    @property
-    def _refusal(self) -> str:
-        if self._login is Login.TOKEN:
-            return "Open the link that the program printed at its start; it contains the token."
-        return "This dashboard is open on its own machine only, at http://localhost."
 
 
 def cookie_of(token: str) -> str:
@@ -246,3 +253,48 @@ def _with_headers(send: Callable[..., Any], request: HTTPConnection) -> Callable
         await send(message)
 
     return send_all
+
+
+Key = Annotated[str, Field(pattern=r"^[0-9a-f-]{36}$")]
+"""Key of a round, stop or upload."""
+
+
+class Sent(BaseModel):
+    """The content of a request; unknown fields are refused."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+
+def answer(work: Callable[[Request, Any], Any]) -> Callable[[Request], Awaitable[Response]]:
+    """Make a route from a function of a request and its content, and send its result as JSON.
+
+    A named error is answered in one line for people, with status 409, and its fault in English; a
+    full disk with 507, another fault of a file with 500.
+    """
+
+    @wraps(work)
+    async def route(request: Request) -> Response:
+        try:
+            content = await request.body() if request.method == "POST" else b""
+        except HTTPException as error:  # too large or too slow, as `AccessGuard` found
+            return JSONResponse({"error": error.detail}, error.status_code, error.headers)
+        except ClientDisconnect:  # lost on the way, as happens among plants: nobody reads an answer
+            return Response(status_code=400)
+        ask_for(request.headers.get("accept-language"))
+        try:
+            reply = await run_in_threadpool(work, request, content)
+        except CucumberVisionError as error:
+            return JSONResponse({"error": words_of(error), "fault": error.message}, 409)
+        except OSError as error:  # from 500 on, a part of an upload is sent again
+            named = named_error(error)
+            if not isinstance(named, DiskFullError):
+                return JSONResponse({"error": words_of(named)}, 500)
+            words = _("The computer cannot store more ({reason}): free some space on its disk")
+            return JSONResponse({"error": words.format(reason=_(error.strerror or ""))}, 507)
+        except ValidationError:
+            return JSONResponse({"error": _("the request is damaged; reload the page")}, 400)
+        if isinstance(reply, Response):
+            return reply
+        return JSONResponse(reply, headers={"cache-control": "no-store"})
+
+    return route

@@ -9,8 +9,8 @@ from typing import Any, cast
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from cucumbervision.arrays import Array32, Mask, Pixels
 from cucumbervision.capture.frames import Capture, valid_depth
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision.fruit.mask_codes import decode_rle
@@ -35,7 +35,7 @@ OTHER_COLORS = {
 """Colours of what has no class."""
 
 PICTURE_FILES = Path(__file__).with_name("static")
-"""Folder of the element that shows a picture on the capture page and the dashboard."""
+"""Folder of the element that shows an image on the capture page and the dashboard."""
 _JOINT_COLOR, _JOINT_RGB = "#FF4FD8", (255, 79, 216)
 _OUTLINE_STEPS = 8  # of a tube's outline between two points of its path
 _MASK_COLOR, _KEYPOINT_COLOR, _BOX_COLOR = "#009E73", "#D55E00", "#F0E442"
@@ -44,8 +44,8 @@ _RULER_PX = 7
 _BAR_M = {"cm": 0.10, "in": 0.1016}
 
 
-def as_data_url(picture: NDArray[np.uint8], widest_px: int = 1280) -> str:
-    """Return a picture as a JPEG in a data URL, as `as_jpeg` makes it.
+def as_data_url(picture: Pixels, widest_px: int = 1280) -> str:
+    """Return an image as a JPEG in a data URL, as `as_jpeg` makes it.
 
     Examples
     --------
@@ -55,12 +55,12 @@ def as_data_url(picture: NDArray[np.uint8], widest_px: int = 1280) -> str:
     return f"data:image/jpeg;base64,{base64.b64encode(as_jpeg(picture, widest_px)).decode()}"
 
 
-def depth_picture(depth_m: NDArray[np.float32], units: Units) -> tuple[NDArray[np.uint8], str]:
+def depth_picture(depth_m: Array32, units: Units) -> tuple[Pixels, str]:
     """Return depth in colours (near red, far blue, no reading black), and the range in words.
 
     Returns
     -------
-    picture : ndarray of uint8, shape (H, W, 3)
+    image : ndarray of uint8, shape (H, W, 3)
         RGB.
     words : str
         The range of the colours.
@@ -85,7 +85,7 @@ def depth_picture(depth_m: NDArray[np.float32], units: Units) -> tuple[NDArray[n
     words = _("red {nearest}, blue {farthest}, black no reading").format(
         nearest=nearest_words, farthest=farthest_words
     )
-    return cast("NDArray[np.uint8]", picture), words
+    return cast("Pixels", picture), words
 
 
 def fruit_layers(record: FruitRow, camera: Intrinsics) -> list[dict[str, Any]]:
@@ -143,21 +143,18 @@ def stop_layers(
     """
     layers: dict[str, dict[str, Any]] = {}
     for view in fruit:
-        record, name = view, grades[view.key]
+        name = grades[view.key]
         color = class_color(name)
         shapes = layers.setdefault(
             name, {"name": label_words(name), "color": color, "on": True, "shapes": []}
         )
         if view.mask is None:
-            lines = [_box_line(record)]
+            lines = [_box_line(view)]
         else:
             mask = decode_rle(view.mask, capture.height_px, capture.width_px)
             lines = [{"kind": "area", "points": line} for line in mask_outline(mask)]
-        centre_px = [
-            (record.box_x1_px + record.box_x2_px) / 2,
-            (record.box_y1_px + record.box_y2_px) / 2,
-        ]
-        text = length_words(record, units)
+        centre_px = [(view.box_x1_px + view.box_x2_px) / 2, (view.box_y1_px + view.box_y2_px) / 2]
+        text = length_words(view, units)
         shapes["shapes"] += [*lines, {"kind": "label", "points": centre_px, "text": text}]
     return list(layers.values())
 
@@ -177,7 +174,7 @@ def _path_shapes(record: FruitRow, camera: Intrinsics) -> list[dict[str, Any]]:
     return [line, *({"kind": "dot", "points": pixels[k].tolist()} for k in (0, -1))]
 
 
-def mask_outline(mask: NDArray[np.bool_]) -> list[list[float]]:
+def mask_outline(mask: Mask) -> list[list[float]]:
     """Return a mask's outlines as polygons: x and y after each other, pixels.
 
     Examples
@@ -212,7 +209,7 @@ def scale_bar(camera: Intrinsics, distance_m: float | None, units: Units) -> dic
 
 
 def ruler_m(capture: Capture, a_px: tuple[float, float], b_px: tuple[float, float]) -> float | None:
-    """Compute the straight distance between two points of the picture, metres.
+    """Compute the straight distance between two points of the image, metres.
 
     Each point's depth is the median of the readings in a window of 7x7; None where one has none.
 
@@ -236,18 +233,18 @@ def ruler_m(capture: Capture, a_px: tuple[float, float], b_px: tuple[float, floa
 
 
 def crop(
-    thumbnail: NDArray[np.uint8],
+    thumbnail: Pixels,
     record: FruitRow,
     width_px: int,
     side_px: int = _THUMBNAIL_PX,
     half_share: float = 0.58,
-) -> NDArray[np.uint8]:
-    """Return a fruit cut out of its capture's picture, as a square.
+) -> Pixels:
+    """Return a fruit cut out of its capture's image, as a square.
 
     Parameters
     ----------
     thumbnail : ndarray of uint8, shape (h, w, 3)
-        The capture's picture, or a smaller one of it.
+        The capture's image, or a smaller one of it.
     width_px : int
         Width of the capture itself.
     side_px : int
@@ -274,7 +271,7 @@ def crop(
     first_x, top = np.clip([first_x + reach, top + reach], 0, 2 * reach).tolist()
     cut = padded[top : top + side, first_x : first_x + side]
     small = cv2.resize(cut, (side_px, side_px), interpolation=cv2.INTER_AREA)
-    return cast("NDArray[np.uint8]", small)
+    return cast("Pixels", small)
 
 
 def class_color(name: str) -> str:

@@ -1,8 +1,7 @@
-"""Measure queued captures into the store, and single fruit with a corrected mask."""
+"""The measurer that all viewers share: captures, and single fruit with a corrected mask."""
 
 from __future__ import annotations
 
-import logging
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -11,12 +10,12 @@ from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from cucumbervision.arrays import Array, Mask
 from cucumbervision.capture.frames import Capture, valid_depth
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
-from cucumbervision.errors import DiskFullError, InstancesError, StoreAwayError, named_error
+from cucumbervision.errors import InstancesError
 from cucumbervision.fruit.instance import Instance, MaskSource
 from cucumbervision.fruit.mask_codes import decode_rle
 from cucumbervision.fruit.masks import box_of_mask, mask_iou
@@ -25,9 +24,8 @@ from cucumbervision.methods.result import Fruit
 from cucumbervision.networks.registry import Registry
 from cucumbervision.run.measurer import Measurer
 from cucumbervision.run.options import MeasureOptions
-from cucumbervision_greenhouse.jobs import Job
 from cucumbervision_greenhouse.rounds import adding
-from cucumbervision_greenhouse.rounds.poses import stored_pose
+from cucumbervision_greenhouse.rounds.walking import stored_pose
 from cucumbervision_greenhouse.store.records import (
     DetectionDetail,
     FruitRow,
@@ -36,7 +34,6 @@ from cucumbervision_greenhouse.store.records import (
     Verdict,
 )
 from cucumbervision_greenhouse.store.repository import Store
-from cucumbervision_greenhouse.store.waiting import WaitingCaptures
 
 if TYPE_CHECKING:
     from cucumbervision.networks.find import NetworkSegmenter
@@ -56,7 +53,7 @@ class SharedMeasurer:
         self._lock = threading.Lock()
         self._loaded: Measurer | None = None
         self._segmenter: NetworkSegmenter | None = None
-        self._masks: dict[str, tuple[object, NDArray[np.bool_]]] = {}
+        self._masks: dict[str, tuple[object, Mask]] = {}
 
     def with_options(self, options: MeasureOptions) -> Measurer:
         """Return a measurer with these options, and the calibration as its file is now.
@@ -87,7 +84,7 @@ class SharedMeasurer:
         store: Store,
         stop: StopRecord,
         capture: Capture,
-        mask: NDArray[np.bool_],
+        mask: Mask,
         options: MeasureOptions,
         before: FruitRow,
     ) -> tuple[Fruit, FruitRow]:
@@ -116,12 +113,12 @@ class SharedMeasurer:
             self.mask_of(first, (first.width / 2, first.height / 2))
 
     def prepare(self, capture: Capture) -> None:
-        """Compute what outlining needs of a picture, before somebody taps into it."""
+        """Compute what outlining needs of an image, before somebody taps into it."""
         self._sam().mask_at(capture.color, capture.width / 2, capture.height / 2)
 
     def draft_of(
         self, capture: Capture, point: Sequence[float] | None, box: Sequence[float] | None
-    ) -> NDArray[np.bool_]:
+    ) -> Mask:
         """Return what is shown at once of a point or a box, before `mask_of` is measured.
 
         Of a point that is the narrower mask of the point alone, which takes half the time.
@@ -142,7 +139,7 @@ class SharedMeasurer:
         capture: Capture,
         point: Sequence[float] | None = None,
         box: Sequence[float] | None = None,
-    ) -> NDArray[np.bool_]:
+    ) -> Mask:
         """Return the mask of the fruit at a point, or in a box where none is given.
 
         The mask of a point comes from the box of what is segmented there, as for all other fruit:
@@ -159,7 +156,7 @@ class SharedMeasurer:
 
     def _draw(
         self, capture: Capture, point: Sequence[float] | None, box: Sequence[float] | None
-    ) -> NDArray[np.bool_]:
+    ) -> Mask:
         if not point:
             x1, y1, x2, y2 = (float(value) for value in box or ())
             edges = np.array([min(x1, x2), min(y1, y2), max(x1, x2), max(y1, y2)])
@@ -173,12 +170,8 @@ class SharedMeasurer:
         return drawn if mask_iou(drawn, draft) > _SAME_IOU else draft
 
     def _last(
-        self,
-        kind: str,
-        capture: Capture,
-        prompt: Sequence[float],
-        draw: Callable[[], NDArray[np.bool_] | None],
-    ) -> NDArray[np.bool_]:
+        self, kind: str, capture: Capture, prompt: Sequence[float], draw: Callable[[], Mask | None]
+    ) -> Mask:
         """Return the mask of a prompt: the last one of its kind if that was the same.
 
         A mask is shown as an outline first, and measured then.
@@ -193,7 +186,7 @@ class SharedMeasurer:
         store: Store,
         detail: DetectionDetail,
         capture: Capture,
-        mask: NDArray[np.bool_],
+        mask: Mask,
         options: MeasureOptions,
     ) -> int:
         """Measure a stored fruit again with this mask, and save the result as a correction; logged.
@@ -209,12 +202,7 @@ class SharedMeasurer:
         return store.correct(detail.view.key, row)
 
     def add(
-        self,
-        store: Store,
-        stop: StopRecord,
-        capture: Capture,
-        mask: NDArray[np.bool_],
-        options: MeasureOptions,
+        self, store: Store, stop: StopRecord, capture: Capture, mask: Mask, options: MeasureOptions
     ) -> str:
         """Measure a missed fruit, add it to its capture, and return its key; logged.
 
@@ -260,60 +248,8 @@ class SharedMeasurer:
             return self._segmenter
 
 
-def measure_waiting(
-    waiting: WaitingCaptures,
-    measurer: SharedMeasurer,
-    store: Store,
-    options: Callable[[], MeasureOptions],
-    settle: Callable[[str], object],
-    job: Job,
-) -> int:
-    """Measure queued captures until the queue is empty; return how many became stops.
-
-    A capture leaves the queue after its stop is in the store, so that it is never lost. Options or
-    a calibration that change meanwhile count from the next capture on.
-
-    Parameters
-    ----------
-    waiting : WaitingCaptures
-        The captures.
-    settle : callable
-        Called with a round's key after its last queued capture.
-    job : Job
-        Counts the captures of each round; those that cannot be measured are logged.
-
-    Raises
-    ------
-    CucumberVisionError
-        If nothing can be measured at all: a network or the calibration cannot be loaded, the disk
-        is full, or the store is not there.
-    """
-    while queue := waiting.captures():
-        measures = measurer.with_options(options())
-        measures.load()  # if this fails, no capture is tried
-        queued, *later = queue
-        waiting.begin(queued)
-        try:
-            if store.stop_is_deleted(queued.key) is None:
-                capture = queued.load()
-                stop = adding.Place().stop(capture, queued.key, queued.round_key)
-                adding.save_measured(store, stop, measures.attempt(capture), measures)
-        except Exception as error:
-            fault = named_error(error, queued.key)
-            if isinstance(fault, DiskFullError | StoreAwayError):
-                waiting.forget_start(queued)  # no fault of the capture
-                raise fault from error
-            logging.getLogger(__name__).warning("not measured: %s", fault)
-            continue
-        job.measured[queued.key] = queued.round_key
-        waiting.done(queued)
-        if all(other.round_key != queued.round_key for other in later):
-            settle(queued.round_key)
-    return len(job.measured)
-
-
 _SAME_IOU = 0.7  # overlap above which two outlines at one point are of the same object
-_LARGEST_SHARE = 0.5  # of the picture
+_LARGEST_SHARE = 0.5  # of the image
 _DOUBTFUL_SCORE = 0.25  # a detection of low confidence
 _RING_PX = 12  # width of the surroundings that are examined
 # Share of the surroundings that must lie this much farther.
@@ -346,7 +282,7 @@ def is_doubtful(fruit: Fruit, capture: Capture) -> bool:
     return not _is_raised(fruit.mask, capture)
 
 
-def _is_raised(mask: NDArray[np.bool_] | None, capture: Capture) -> bool:
+def _is_raised(mask: Mask | None, capture: Capture) -> bool:
     """Return whether part of a mask's surroundings lies farther away than the mask."""
     if mask is None:
         return False
@@ -363,10 +299,8 @@ def _is_raised(mask: NDArray[np.bool_] | None, capture: Capture) -> bool:
 _COPY_SHARE = 0.6  # share of the smaller of two masks above which both are one fruit
 
 
-def _refuse_copy(
-    store: Store, stop: StopRecord, capture: Capture, mask: NDArray[np.bool_], but: int
-) -> None:
-    """Refuse a mask that belongs to another fruit of the picture; deleted fruit are ignored.
+def _refuse_copy(store: Store, stop: StopRecord, capture: Capture, mask: Mask, but: int) -> None:
+    """Refuse a mask that belongs to another fruit of the image; deleted fruit are ignored.
 
     Raises
     ------
@@ -387,9 +321,7 @@ def _refuse_copy(
             )
 
 
-def _kept_keypoints(
-    keypoints: Sequence[Point], mask: NDArray[np.bool_]
-) -> NDArray[np.float64] | None:
+def _kept_keypoints(keypoints: Sequence[Point], mask: Mask) -> Array | None:
     """Return a fruit's keypoints if its new mask contains them, else None."""
     if not keypoints:
         return None
@@ -400,7 +332,7 @@ def _kept_keypoints(
     return points if inside.mean() >= 0.5 else None
 
 
-def _some(mask: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
+def _some(mask: Mask | None) -> Mask:
     if mask is None or np.count_nonzero(mask) < 100:
         raise InstancesError(
             "no fruit was found there", remedy="tap its middle or draw a closer box"

@@ -1,30 +1,29 @@
-"""What all viewers share, opened once: the store, the job queue, captures, uploads, settings."""
+"""What all viewers share, opened once: the store, jobs, captures, uploads, settings."""
 
 from __future__ import annotations
 
+import logging
 import os
+import sys
 import threading
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from contextlib import suppress
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import streamlit as st
+from starlette.requests import Request
 
 from cucumbervision.crop.profiles import CropProfile, load_profile, profiles
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.names import house_key
 from cucumbervision.networks.registry import Registry, load_registry
+from cucumbervision_greenhouse import language
 from cucumbervision_greenhouse.access import VIEWER, device_of
-from cucumbervision_greenhouse.jobs import JobQueue
-from cucumbervision_greenhouse.language import (
-    asked_language,
-    best_of,
-    decide_by,
-    gettext,
-    marked,
-    sentence,
-    told_apart,
-)
+from cucumbervision_greenhouse.language import gettext, marked
 from cucumbervision_greenhouse.measuring import SharedMeasurer
 from cucumbervision_greenhouse.rounds.walking import is_demonstration
 from cucumbervision_greenhouse.settings import (
@@ -43,6 +42,110 @@ from cucumbervision_greenhouse.uploads import Uploads
 KEPT = 8  # largest number of cached rounds, forecasts or fruit
 
 
+def fault_of(future: Future[Any]) -> str:
+    """Return why work failed, for people; empty while it runs or if it succeeded."""
+    error = future.exception() if future.done() else None
+    if error is None or isinstance(error, CucumberVisionError):
+        return language.words_of(error or "")
+    return f"{type(error).__name__}: {error}"
+
+
+@dataclass(eq=False)
+class Job:
+    """One piece of work and its progress.
+
+    Parameters
+    ----------
+    title : str
+        What it is, for people.
+    round_key : str, optional
+        The round that it works on; empty for none, None for captures of any.
+    total, done : int
+        Steps; a total of 0 where it is not known.
+    measured : dict of str
+        Captures that became stops, by key, each with its round.
+    """
+
+    title: str
+    round_key: str | None = ""
+    total: int = 0
+    done: int = 0
+    measured: dict[str, str] = field(default_factory=dict)
+    future: Future[Any] = field(default_factory=Future, repr=False)
+
+    @property
+    def finished(self) -> bool:
+        """Whether it is done or failed."""
+        return self.future.done()
+
+    @property
+    def error(self) -> str:
+        """Why it failed; empty if it did not."""
+        return fault_of(self.future)
+
+    def wait(self, timeout_s: float | None = None) -> bool:
+        """Wait until it is finished; return whether it is."""
+        return bool(wait([self.future], timeout_s).done)
+
+
+class JobQueue:
+    """A thread that does one job after the other, in the order of submission.
+
+    Networks and fits compute outside Python's global lock for most of the time, so a thread does
+    not block the pages. There is only one, since two would share the same cores.
+
+    Examples
+    --------
+    >>> worker = JobQueue()
+    >>> worker.submit("adding", lambda job: 1 + 1).future.result()
+    2
+    """
+
+    def __init__(self) -> None:
+        self._pool = ThreadPoolExecutor(1, thread_name_prefix="measuring", initializer=give_way)
+        self._jobs: list[Job] = []
+        self.finished = 0
+
+    def submit(self, title: str, work: Callable[[Job], Any], round_key: str | None = "") -> Job:
+        """Queue a job; `work` is given the job, to count its steps; the rest as `Job`."""
+        job = Job(title, round_key)
+        self._jobs.append(job)
+        job.future = self._pool.submit(_run, work, job)
+        job.future.add_done_callback(lambda _: self._end(job))
+        return job
+
+    def _end(self, job: Job) -> None:
+        self._jobs.remove(job)
+        self.finished += 1
+
+    def unfinished(self) -> list[Job]:
+        """Return the jobs that wait or run, in their order."""
+        return [job for job in list(self._jobs) if not job.finished]
+
+
+_GIVEN_UP_S = 0.001  # how long one thread may keep Python's lock from the others; 5 ms by default
+_LESS_URGENT = 10  # steps of 'nice'
+
+
+def give_way() -> None:
+    """Lower this thread's priority below the camera's and the pages'."""
+    sys.setswitchinterval(_GIVEN_UP_S)
+    if sys.platform == "linux":  # a thread and those that it starts have their own priority
+        with suppress(OSError):
+            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _LESS_URGENT)
+
+
+def _run(work: Callable[[Job], Any], job: Job) -> Any:
+    try:
+        return work(job)
+    except CucumberVisionError:
+        raise
+    except Exception:
+        # The page shows one line; the traceback goes to the log.
+        logging.getLogger(__name__).exception("job %s failed", job.title)
+        raise
+
+
 def where() -> str:
     """Return the whole path, or the URL, of the store."""
     return _whole(os.environ.get(STORE_VARIABLE) or default_store())
@@ -58,6 +161,12 @@ def store() -> Store:
     """Return the store of all viewers, signed by the viewer of this page."""
     name = st.context.headers.get(VIEWER) or "dashboard"  # whom the proxy logged in
     return _store().signed(name, device_of(st.context.cookies))
+
+
+def store_of(request: Request) -> Store:
+    """Return the store, signed by the sender of a request."""
+    name = request.scope.get("viewer") or "dashboard"
+    return _store().signed(name, device_of(request.cookies))
 
 
 @st.cache_resource(show_spinner=False)
@@ -125,16 +234,16 @@ def change_settings(**changes: object) -> None:
         try:
             write_settings(chosen, settings_file(where()))
         except CucumberVisionError as error:
-            st.toast(sentence(error), icon=":material/error:", duration="long")
+            st.toast(language.sentence(error), icon=":material/error:", duration="long")
 
 
 def _language() -> str:
     """Return the language of the settings, else the one of the viewer's browser."""
     # Without a page it is a request beside Streamlit's.
-    return settings().language or asked_language() or best_of(st.context.locale)
+    return settings().language or language.asked_language() or language.best_of(st.context.locale)
 
 
-decide_by(_language)
+language.decide_by(_language)
 
 
 @st.cache_resource(show_spinner=False, max_entries=KEPT, ttl=60)
@@ -153,7 +262,7 @@ def _crop_titles() -> dict[str, str]:
 
 def crop_titles() -> dict[str, str]:
     """Return the titles of all readable crop profiles by their names, each title once."""
-    return told_apart({name: gettext(title) for name, title in _crop_titles().items()})
+    return language.told_apart({name: gettext(title) for name, title in _crop_titles().items()})
 
 
 def forget_profiles() -> None:

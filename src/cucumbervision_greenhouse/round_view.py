@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
 from functools import cached_property
+from itertools import groupby
 from typing import Any, TypeVar
 
 import streamlit as st
@@ -16,19 +17,11 @@ from cucumbervision.capture.frames import Capture
 from cucumbervision.crop.grades import Grade, grade
 from cucumbervision.crop.profiles import CropProfile
 from cucumbervision_greenhouse.forecast.forecast import Forecast
-from cucumbervision_greenhouse.forecast.picking import Ready, ready_on
+from cucumbervision_greenhouse.forecast.picking import Pick, Ready, pick_list, ready_on
 from cucumbervision_greenhouse.fruit_pictures import as_data_url, crop
 from cucumbervision_greenhouse.resources import KEPT, profile_of, rounds, store, worker
-from cucumbervision_greenhouse.rounds import day_comparison, forecasting
+from cucumbervision_greenhouse.rounds import day_comparison, forecasting, fruit_table
 from cucumbervision_greenhouse.rounds.adding import stored_capture
-from cucumbervision_greenhouse.rounds.fruit_table import (
-    RoundContent,
-    along_rows,
-    fruit_table,
-    least_sure_first,
-    read_round,
-    round_doubts,
-)
 from cucumbervision_greenhouse.rounds.harvest import Compared, Picked, compare_harvests, harvests
 from cucumbervision_greenhouse.rounds.merge_and_link import DAY_S, rounds_of_house
 from cucumbervision_greenhouse.store import records
@@ -49,11 +42,11 @@ def news(round_key: str) -> dict[str, Any]:
         The open round; its `version` changes whenever one of its pages would.
     """
     round_summary = store().round(round_key)
-    counts = (worker().finished, 0 if round_summary is None else hash(_version(round_summary)))
+    version = 0 if round_summary is None else hash(_version(round_summary))
     return {
-        "version": f"{counts[0]}-{counts[1]}",
+        "version": f"{worker().finished}-{version}",
         "now_s": time.time(),
-        "work": progress(round_key).news,
+        "work": vars(progress(round_key)),
     }
 
 
@@ -90,7 +83,7 @@ def _cached(**options: Any) -> Callable[[_Reader], _Reader]:
 
 
 _OF_FRUIT = {records.FruitRow: lambda view: (view.key, view.corrected, view.box_x1_px)}
-_OF_PICTURE: dict[type, Callable[[Any], Any]] = {
+_OF_IMAGE: dict[type, Callable[[Any], Any]] = {
     records.StopRecord: lambda stop: (stop.key, stop.row, stop.side, stop.position_m, stop.step),
     records.CaptureRecord: lambda taken: (taken.name, taken.color, taken.depth),
 }
@@ -104,14 +97,14 @@ class RoundView:
     ----------
     round : Round
         The round, as lists name it.
-    content : RoundContent
+    content : fruit_table.RoundContent
         Its stops and views.
     profile : CropProfile
         The crop that grades its fruit.
     """
 
     round: records.Round
-    content: RoundContent
+    content: fruit_table.RoundContent
     profile: CropProfile
 
     @property
@@ -122,9 +115,9 @@ class RoundView:
     @cached_property
     def best(self) -> Sequence[records.FruitRow]:
         """Each fruit once with the length from all views, deleted ones included, along the rows."""
-        row_of_fruit = {fruit.key: fruit for fruit in fruit_table(self.content)}
+        row_of_fruit = {fruit.key: fruit for fruit in fruit_table.fruit_table(self.content)}
         best = [row_of_fruit.get(view.key, view) for view in self.content.views if view.best]
-        return sorted(best, key=along_rows)
+        return sorted(best, key=fruit_table.along_rows)
 
     @cached_property
     def fruit(self) -> Sequence[records.FruitRow]:
@@ -147,24 +140,39 @@ class RoundView:
     @cached_property
     def grades(self) -> Mapping[str, Grade]:
         """Grades of all fruit by their keys: those of today."""
-        return forecasting.grades_today(self.best, self.profile, today_of(self.round).forecast)
+        return forecasting.grades_today(self.best, self.profile, self.today)
 
     @cached_property
     def today_m(self) -> Mapping[str, float]:
         """Expected lengths today of fruit that were measured on an earlier day, metres."""
-        return forecasting.lengths_today(today_of(self.round).forecast)
+        return forecasting.lengths_today(self.today)
+
+    @property
+    def age(self) -> tuple[int, forecasting.Age]:
+        """Its age today in calendar days, and its use."""
+        return forecasting.age_of(self.round.walked_s, time.time())
+
+    @property
+    def today(self) -> Forecast | None:
+        """The forecast of today alone; None where the round is too old."""
+        return None if self.age[1] is forecasting.Age.USELESS else _today_of(self.round)
+
+    @property
+    def picks(self) -> dict[str, list[Pick]]:
+        """The pick list by row in the order of the walk, including fruit that were picked today."""
+        picks = () if self.today is None else pick_list(self.today)
+        return {row: list(of_row) for row, of_row in groupby(picks, lambda pick: pick.fruit.row)}
 
     @property
     def ready(self) -> Ready | None:
         """The fruit that are ready today; None where the round is too old."""
-        forecast = today_of(self.round).forecast
         picked = {view.key for view in self.fruit if view.picked_s is not None}
-        return None if forecast is None else ready_on(forecast, picked=picked)
+        return None if self.today is None else ready_on(self.today, picked=picked)
 
     @cached_property
     def doubts(self) -> Sequence[str]:
         """The doubts about the data in the core's words, each once."""
-        return round_doubts(self.content.views)
+        return fruit_table.round_doubts(self.content.views)
 
     @cached_property
     def forecast(self) -> Forecast:
@@ -192,7 +200,7 @@ class RoundView:
 @_cached()
 def view_of(round_summary: records.Round) -> RoundView:
     """Return a round with its stops and views; read again only after a change."""
-    content = read_round(store(), round_summary.key)
+    content = fruit_table.read_round(store(), round_summary.key)
     return RoundView(round_summary, content, profile_of(round_summary)[1])
 
 
@@ -213,8 +221,8 @@ def comparison_of(earlier: records.Round, later: records.Round) -> day_compariso
     """Return what changed between two rounds of a house; computed again only after a change."""
     contents = [view_of(x).content for x in (earlier, later)]
     return day_comparison.compare_rounds(
-        fruit_table(contents[0]),
-        fruit_table(contents[1]),
+        fruit_table.fruit_table(contents[0]),
+        fruit_table.fruit_table(contents[1]),
         day_comparison.same_fruit(store(), *contents),
         (contents[0].stops, contents[1].stops),
         (later.walked_s - earlier.walked_s) / DAY_S,
@@ -226,20 +234,21 @@ def fruit_days_of(round_summary: records.Round, fruit_key: str) -> list[records.
     """Return a fruit of a round, or of one before it, on every day, the earliest first."""
     content = view_of(round_summary).content
     if fruit_key not in content.group_of:
-        content = read_round(store(), store().detection(fruit_key).view.round_key)
+        content = fruit_table.read_round(store(), store().detection(fruit_key).view.round_key)
     return day_comparison.fruit_days(store(), content, fruit_key)
 
 
 @_cached(ttl=3600, hash_funcs={records.Round: _unpicked_version})
-def today_of(round_summary: records.Round) -> forecasting.Today:
-    """Return a round's figures of today, including the fruit that were picked today."""
+def _today_of(round_summary: records.Round) -> Forecast:
     walk = view_of(round_summary)
-    return forecasting.read_today(store(), round_summary, walk.profile, time.time(), walk.content)
+    return forecasting.forecast_today(
+        store(), round_summary, walk.profile, time.time(), walk.content, days=0
+    )
 
 
-@_cached(max_entries=6, ttl=None, hash_funcs=_OF_PICTURE)
+@_cached(max_entries=6, ttl=None, hash_funcs=_OF_IMAGE)
 def capture_of(stop: records.StopRecord, taken: records.CaptureRecord) -> Capture:
-    """Return a capture of a stop with its pictures; the last ones are held."""
+    """Return a capture of a stop with its images; the last ones are held."""
     return stored_capture(store().images, taken, stop)
 
 
@@ -259,7 +268,7 @@ def thumbnail_of(view: records.FruitRow) -> str | None:
 
 @_cached(max_entries=400, ttl=None, hash_funcs=_OF_FRUIT)
 def cutout_of(view: records.FruitRow) -> str | None:
-    """Return a fruit cut out of its picture as a data URL; None where none was kept."""
+    """Return a fruit cut out of its image as a data URL; None where none was kept."""
     captures = store().stop(view.stop_key).captures
     taken = next(capture for capture in captures if capture.name == view.capture)
     if taken.color is None:
@@ -274,9 +283,9 @@ def read_ahead() -> None:
         walk = view_of(round_summary)
         for fruit in walk.fruit[:LINES]:
             thumbnail_of(fruit)
-        today_of(round_summary)
+        _today_of(round_summary)
 
 
 def doubtful(fruit: Sequence[records.FruitRow]) -> list[records.FruitRow]:
     """Return unjudged fruit with a single view of low confidence, the least certain first."""
-    return [view for view in least_sure_first(fruit) if view.score < _LOW_CONFIDENCE]
+    return [view for view in fruit_table.least_sure_first(fruit) if view.score < _LOW_CONFIDENCE]

@@ -25,8 +25,7 @@ from cucumbervision.access import TOKEN_VARIABLE
 from cucumbervision.capture.source import safe_name
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision_greenhouse import resources, round_view, tasks
-from cucumbervision_greenhouse.access import AccessGuard, Login
-from cucumbervision_greenhouse.answers import Key, Sent, answer
+from cucumbervision_greenhouse.access import AccessGuard, Key, Login, Sent, answer
 from cucumbervision_greenhouse.camera.page import routes as capture_routes
 from cucumbervision_greenhouse.exports import ExportFormat
 from cucumbervision_greenhouse.exports.build import RoundTables, round_tables

@@ -12,19 +12,13 @@ import numpy as np
 
 from cucumbervision.arrays import Array
 from cucumbervision.crop.grades import UNDECIDED, Grade, class_name
+from cucumbervision_greenhouse import words as texts
 from cucumbervision_greenhouse.fruit_pictures import PICTURE_FILES, class_color
 from cucumbervision_greenhouse.language import counted, number_words
 from cucumbervision_greenhouse.language import gettext as _
-from cucumbervision_greenhouse.rounds.poses import stored_pose
+from cucumbervision_greenhouse.rounds.walking import stored_pose
 from cucumbervision_greenhouse.settings import Units
 from cucumbervision_greenhouse.store.records import FruitRow, StopRecord
-from cucumbervision_greenhouse.words import (
-    grade_words,
-    label_words,
-    length_words,
-    position_words,
-    row_and_side,
-)
 
 Box = tuple[float, float, float, float]
 
@@ -93,7 +87,7 @@ def draw_rows(
             sides.setdefault((view.row, view.side), []).append(view)
     stops, drawn = list(stops), {}
     for side, views in sides.items():
-        title = f"{row_and_side(views[0])} · {counted(len(views), '{n} fruit', '{n} fruit')}"
+        title = f"{texts.row_and_side(views[0])} · {counted(len(views), '{n} fruit', '{n} fruit')}"
         of_side = [stop for stop in stops if (stop.row, stop.side) == side]
         drawn[title] = _side(title, views, of_side, grades, units)
     return drawn
@@ -125,8 +119,7 @@ def _side(
     level = stored_pose((), fruit[0].side)
     tubes = np.stack([_tube(view, poses.get(view.stop_key, level)) for view in fruit])
     _move_apart(tubes)
-    places_m = (x.position_m if x.fitted_m is None else x.fitted_m for x in stops)
-    walked = sorted(1000 * at_m for at_m in places_m if at_m is not None)
+    walked = sorted(1000 * stop.at_m for stop in stops if stop.at_m is not None)
     points = [*tubes[..., :2].reshape(-1, 2), *((stop_x, 0.0) for stop_x in walked)]
     x0, top = (np.min(points, axis=0) - _EDGE_MM).round().astype(int).tolist()
     x1, bottom = (np.max(points, axis=0) + _EDGE_MM).round().astype(int).tolist()
@@ -235,10 +228,10 @@ def _fruit(
         label += " ✓" * (view.picked_s is not None)
         fill, dashes = _form(view, graded, hatches)
         line = f'<path class="line" d="{_line(axes[k, 2:-2])}" stroke-dasharray="{dashes}"/>'
-        place, words = position_words(view.along_m, units), length_words(view, units)
+        place, words = texts.position_words(view.along_m, units), texts.length_words(view, units)
         yield (
             f'<a data-key="{view.key}"><title>'
-            f"{escape(f'{place}: {words}, {grade_words(graded)}')}</title>"
+            f"{escape(f'{place}: {words}, {texts.grade_words(graded)}')}</title>"
             f'<path class="stalk" d="M{stalk_x:.0f} {stalk_y:.0f}v-45"/>'
             f'<path class="body" {fill} d="{_line(outlines[k])}Z"/>{line if dashes else ""}'
             f'<text x="{x:.0f}" y="{y:.0f}">{label}</text></a>'
@@ -257,7 +250,7 @@ def _legend(
     parts, (x0, y), x = [], place, place[0]
     for label, number in sorted(counts.items()):
         fill, dashes = forms[label]
-        words = f"{number} {label_words(label)}"
+        words = f"{number} {texts.label_words(label)}"
         line = f'<path class="line" d="M20 17H80" stroke-dasharray="{dashes}"/>' if dashes else ""
         parts.append(
             f'<g class="legend" transform="translate({x} {y})"><path class="body" {fill} '

@@ -8,7 +8,9 @@ import shutil
 import tempfile
 import threading
 import time
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -18,8 +20,8 @@ from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.frames import LONGEST_ROW_M, Capture, Stop
 from cucumbervision.capture.intrinsics import Intrinsics, Stream
 from cucumbervision.capture.pictures import COLOR_SUFFIXES, read_color
-from cucumbervision.capture.source import CaptureSource, ReadOptions
-from cucumbervision.capture.uploads import AcceptedSource, Limits, accept_uploads
+from cucumbervision.capture.source import CaptureSource, ReadOptions, fail
+from cucumbervision.capture.uploads import AcceptedSource, AcceptedUploads, Limits, accept_uploads
 from cucumbervision.errors import (
     CucumberVisionError,
     DiskFullError,
@@ -29,13 +31,8 @@ from cucumbervision.errors import (
     UploadError,
 )
 from cucumbervision.names import LONGEST_NAME
+from cucumbervision_greenhouse.rounds import walking
 from cucumbervision_greenhouse.rounds.adding import RoundCapture
-from cucumbervision_greenhouse.rounds.walking import (
-    NextPlace,
-    last_step,
-    refuse_taken,
-    round_for_capture,
-)
 from cucumbervision_greenhouse.settings import replace_text
 from cucumbervision_greenhouse.store.records import key_of
 from cucumbervision_greenhouse.store.repository import Store
@@ -46,12 +43,12 @@ _ABOUT = "upload.json"
 _KEPT = 20  # number of uploads whose outcomes are kept
 _RESERVE_BYTES = 500_000_000  # disk space that is left for new captures
 
-# Focal length divided by the picture's shorter side, which is the sensor's height, also where the
-# camera was mounted upright and its pictures were turned: nominal values of colour cameras.
+# Focal length divided by the image's shorter side, which is the sensor's height, also where the
+# camera was mounted upright and its images were turned: nominal values of colour cameras.
 CAMERAS = {"RealSense D435 / D435i": 1.283, "RealSense D415": 1.285, "RealSense D455": 0.894}
 
 
-def _checked(place: NextPlace) -> NextPlace:
+def _checked(place: walking.NextPlace) -> walking.NextPlace:
     """Refuse a place that no stop can have, before files are sent."""
     Stop(place.row or None, place.side, place.position_m)
     lengths = place.position_m, place.step_m
@@ -85,7 +82,7 @@ class Sending(_Frozen):
 
     round: Annotated[str, Field(pattern=r"^[0-9a-f-]{36}$")]
     files: Annotated[tuple[SentFile, ...], Field(min_length=1, max_length=MOST_FILES)]
-    place: Annotated[NextPlace, AfterValidator(_checked)] = NextPlace("")
+    place: Annotated[walking.NextPlace, AfterValidator(_checked)] = walking.NextPlace("")
     camera: Annotated[str, Field(max_length=LONGEST_NAME)] = ""
 
     @property
@@ -217,7 +214,7 @@ class Uploads:
 
         Raises
         ------
-        DiskFullError, StoreAwayError
+        UploadError, DiskFullError, StoreAwayError
             If nothing can be kept now; the files stay, and what waits already is not queued twice.
         """
         sending, outcomes = self._known(key), list[UploadOutcome]()
@@ -228,17 +225,23 @@ class Uploads:
         # Of the files themselves no more arrives than was announced.
         limits = Limits(files=MOST_FILES, total_bytes=max(sending.size, Limits().total_bytes))
         walk = sending.place
-        try:
-            with tempfile.TemporaryDirectory(dir=self.folder) as folder:
-                accepted = accept_uploads(files, Path(folder), limits)
-                for refusal in accepted.refused:
-                    outcomes.append(_lost(str(refusal.source), refusal.message))
-                for source in accepted.sources:
-                    walk = _queue(source, sending, walk, (waiting, store, reading), outcomes)
-        except (DiskFullError, StoreAwayError):
-            raise
-        except CucumberVisionError as error:
-            outcomes.append(_lost(str(error.source or ""), error.message))
+        with tempfile.TemporaryDirectory(dir=self.folder) as folder:
+            accepted = accept_uploads(files, Path(folder), limits)
+            for name, load in _captures(accepted, sending.camera, reading):
+                try:
+                    capture = load()
+                    stop, name = capture.stop, capture.source or capture.name
+                    if stop.position_m is None:
+                        stop, walk = replace(stop, position_m=walk.position_m), walk.onward()
+                    row, side = stop.row or walk.row or None, stop.side or walk.side
+                    capture = replace(capture, stop=replace(stop, row=row, side=side))
+                    words = _kept(capture, sending.round, waiting, store)
+                    outcomes.append(UploadOutcome(name=name, saved=True, words=words))
+                except (DiskFullError, StoreAwayError):
+                    raise
+                except CucumberVisionError as error:
+                    name, words = str(error.source or name), Message(error.at(None).line)
+                    outcomes.append(UploadOutcome(name=name, saved=False, words=words))
         with self._lock:
             upload = self.read(key)
             if upload is not None:
@@ -262,39 +265,19 @@ class Uploads:
         replace_text(self.folder / upload.sending.key / _ABOUT, upload.model_dump_json())
 
 
-def _lost(name: str, words: str) -> UploadOutcome:
-    return UploadOutcome(name=name, saved=False, words=Message(words))
-
-
-def _queue(
-    source: AcceptedSource,
-    sending: Sending,
-    walk: NextPlace,
-    parts: tuple[WaitingCaptures, Store, ReadOptions],
-    outcomes: list[UploadOutcome],
-) -> NextPlace:
-    """Let a source's captures wait, note what becomes of each, and return the next place."""
-    waiting, store, reading = parts
-    name = source.title
-    try:
-        refs = list(_opened(source, reading, sending.camera))
-    except CucumberVisionError as error:
-        outcomes.append(_lost(str(error.source or name), error.at(None).line))
-        return walk
-    for ref in refs:
+def _captures(
+    accepted: AcceptedUploads, camera: str, reading: ReadOptions
+) -> Iterator[tuple[str, Callable[[], Capture]]]:
+    """Yield what loads each capture, or raises why there is none, with its sender's name."""
+    for refusal in accepted.refused:
+        yield str(refusal.source), partial(fail, refusal)
+    for source in accepted.sources:
         try:
-            capture = ref.load()
-            name, stop = capture.source or capture.name, capture.stop
-            if stop.position_m is None:
-                stop, walk = replace(stop, position_m=walk.position_m), walk.onward()
-            stop = replace(stop, row=stop.row or walk.row or None, side=stop.side or walk.side)
-            words = _kept(replace(capture, stop=stop), sending.round, waiting, store)
-            outcomes.append(UploadOutcome(name=name, saved=True, words=words))
-        except (DiskFullError, StoreAwayError):
-            raise
+            refs = list(_opened(source, reading, camera))
         except CucumberVisionError as error:
-            outcomes.append(_lost(str(error.source or name), error.message))
-    return walk
+            yield source.title, partial(fail, error)
+        else:
+            yield from ((source.title, ref.load) for ref in refs)
 
 
 def _kept(capture: Capture, round_key: str, waiting: WaitingCaptures, store: Store) -> Message:
@@ -305,17 +288,17 @@ def _kept(capture: Capture, round_key: str, waiting: WaitingCaptures, store: Sto
     CucumberVisionError
         If the round has it, the same camera took another at its place, or it cannot be kept.
     """
-    home = round_for_capture(store, round_key, simulated=capture.simulated)
+    home = walking.round_for_capture(store, round_key, simulated=capture.simulated)
     queued = [other for other in waiting.captures() if other.round_key == home]
     if capture.stop.step is None:
-        step = last_step([*store.stops(home), *(other.stop for other in queued)]) + 1
+        step = walking.last_step([*store.stops(home), *(other.stop for other in queued)]) + 1
         capture = replace(capture, stop=replace(capture.stop, step=step))
     item = RoundCapture.to_add(store, home, capture)
     if item.is_deleted:
         raise UploadError("was deleted: undo that to have it back")
     if item.is_deleted is not None or waiting.holds(item.stop.key):
         raise UploadError("is in the round already")
-    refuse_taken(store, item.stop)
+    walking.refuse_taken(store, item.stop)
     stop = capture.stop
     for other in queued:
         is_there = replace(other.stop, step=stop.step) == stop
@@ -334,14 +317,14 @@ def _kept(capture: Capture, round_key: str, waiting: WaitingCaptures, store: Sto
 
 
 def _opened(source: AcceptedSource, reading: ReadOptions, camera: str) -> CaptureSource:
-    """Open a source; pictures without intrinsics get the camera's nominal ones."""
+    """Open a source; images without intrinsics get the camera's nominal ones."""
     try:
         return source.open(reading)
     except IntrinsicsError:
-        pictures = sorted(p for p in source.path.rglob("*") if p.suffix.lower() in COLOR_SUFFIXES)
-        if not camera or reading.intrinsics or not pictures:
+        images = sorted(p for p in source.path.rglob("*") if p.suffix.lower() in COLOR_SUFFIXES)
+        if not camera or reading.intrinsics or not images:
             raise
-    height, width = read_color(pictures[0]).shape[:2]
+    height, width = read_color(images[0]).shape[:2]
     focal_px, middle = CAMERAS[camera] * min(width, height), ((width - 1) / 2, (height - 1) / 2)
     lens = Intrinsics(width, height, focal_px, focal_px, *middle, Stream.COLOR)
     path = source.path.with_name(f"{source.path.name}-camera.json")

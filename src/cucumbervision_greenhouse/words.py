@@ -13,15 +13,8 @@ from cucumbervision.crop import grades
 from cucumbervision.crop.grades import UNDECIDED, class_name
 from cucumbervision.methods.flags import FLAGS
 from cucumbervision.methods.result import LengthDefinition
-from cucumbervision_greenhouse.language import (
-    counted,
-    day_month_words,
-    decimal_words,
-    marked,
-    moment_words,
-    number_words,
-    words_of,
-)
+from cucumbervision_greenhouse import language
+from cucumbervision_greenhouse.language import counted, marked
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.rounds.forecasting import date_after
 from cucumbervision_greenhouse.rounds.merge_and_link import DAY_S
@@ -59,7 +52,7 @@ def position_words(along_m: float | None, units: Units) -> str:
     ['1.20 m', '3.95 ft']
     """
     name, per_metre = units.along
-    return f"{number_words(max(along_m or 0.0, 0.0) * per_metre, 2)} {name}"
+    return f"{language.number_words(max(along_m or 0.0, 0.0) * per_metre, 2)} {name}"
 
 
 def round_day(at_s: float) -> str:
@@ -70,7 +63,7 @@ def round_day(at_s: float) -> str:
     >>> len(round_day(1_700_000_000.0))
     17
     """
-    return moment_words(datetime.fromtimestamp(at_s))
+    return language.moment_words(datetime.fromtimestamp(at_s))
 
 
 def day_words(at_s: float) -> str:
@@ -81,7 +74,7 @@ def day_words(at_s: float) -> str:
     >>> day_words(1_700_000_000.0)
     'Tue 14 Nov'
     """
-    return day_month_words(date.fromtimestamp(at_s))
+    return language.day_month_words(date.fromtimestamp(at_s))
 
 
 def date_words(day: date, today: date) -> str:
@@ -92,7 +85,7 @@ def date_words(day: date, today: date) -> str:
     >>> [date_words(date(2023, 11, day), date(2023, 11, 14)) for day in (13, 14, 15, 16)]
     ['Mon 13 Nov', 'today', 'tomorrow', 'Thu 16 Nov']
     """
-    return {0: _("today"), 1: _("tomorrow")}.get((day - today).days, day_month_words(day))
+    return {0: _("today"), 1: _("tomorrow")}.get((day - today).days, language.day_month_words(day))
 
 
 def _name_of(round_summary: Round) -> str:
@@ -269,7 +262,7 @@ def class_words(name: str) -> str:
     >>> class_words("I"), class_words("too long")
     ('class I', 'too long')
     """
-    return words_of(class_name(name))
+    return language.words_of(class_name(name))
 
 
 def label_words(label: str) -> str:
@@ -292,7 +285,7 @@ def choice_words(names: Iterable[str]) -> str:
     >>> choice_words(("too short", "II", "I", "too long"))
     'too short, class II, I or too long'
     """
-    return words_of(grades.choice_words(names))
+    return language.words_of(grades.choice_words(names))
 
 
 # Reasons of the core for a class whose texts it puts together.
@@ -310,7 +303,7 @@ def grade_words(graded: Grade) -> str:
     >>> grade_words(Grade(GradeStatus.UNDECIDED, UNDECIDED, (), {}, possible=("II", "I")))
     'undecided: class II or I'
     """
-    return words_of(graded.words)
+    return language.words_of(graded.words)
 
 
 def length_words(record: FruitRow, units: Units) -> str:
@@ -375,7 +368,7 @@ def interval_words(record: FruitRow, units: Units, words: str = "") -> str | Non
     if length is None or record.at_least or not (length.low_m and length.high_m):
         return None
     return (words or _("{low} to {high}")).format(
-        low=number_words(units.value(length.low_m) or 0.0, units.digits),
+        low=language.number_words(units.value(length.low_m) or 0.0, units.digits),
         high=units.text(length.high_m),
     )
 
@@ -399,7 +392,7 @@ _LEVEL_M = 0.2  # from the camera's height, upwards or downwards
 
 
 def height_words(record: FruitRow) -> str:
-    """Return whether a fruit hangs high or low in its picture; empty in between, or if unknown.
+    """Return whether a fruit hangs high or low in its image; empty in between, or if unknown.
 
     Examples
     --------
@@ -465,7 +458,7 @@ def count_words(expected: float) -> str:
     >>> count_words(3.84), count_words(4.0), count_words(120.04)
     ('3.8', '4', '120')
     """
-    return decimal_words(f"{round(expected, int(expected < 100)):g}")
+    return language.decimal_words(f"{round(expected, int(expected < 100)):g}")
 
 
 def ready_words(ready: Ready) -> str:
@@ -519,8 +512,8 @@ def growth_words(growth: Growth, units: Units) -> str:
     )
     parts = {
         "growth": units.text(mean),
-        "low": number_words(units.value(low) or 0.0, units.digits),
-        "high": number_words(units.value(high) or 0.0, units.digits),
+        "low": language.number_words(units.value(low) or 0.0, units.digits),
+        "high": language.number_words(units.value(high) or 0.0, units.digits),
     }
     if growth.fruit:
         return counted(
@@ -548,7 +541,7 @@ def hours_words(hours: float) -> str:
     ('19 min', '3.2 h')
     """
     if hours >= 1.5:
-        return _("{hours} h").format(hours=number_words(hours, 1))
+        return _("{hours} h").format(hours=language.number_words(hours, 1))
     return f"{math.ceil(60 * hours - 1e-9):d} min"
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 import typer
+from cucumbervision_greenhouse.rounds.poses import PoseLine
 
 from cucumbervision.capture.readers.native import Manifest
 from cucumbervision.cli.app import app
@@ -17,7 +18,6 @@ from cucumbervision.methods.flags import FLAGS, Flag
 from cucumbervision.methods.result import Choice, LengthKind, MethodName, Reason
 from cucumbervision.run.fields import FIELDS
 from cucumbervision.stream.fruit_stream import FRAME_FIELDS, TRACK_FIELDS
-from cucumbervision_greenhouse.rounds.poses import PoseLine
 from cucumbervision_greenhouse.store.repository import Store
 
 DOCS = Path(__file__).parents[2] / "docs"

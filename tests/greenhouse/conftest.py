@@ -11,6 +11,7 @@ import urllib.request
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -21,9 +22,11 @@ from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.source import example_captures
 from cucumbervision.run.measurer import Measurer
 from cucumbervision.run.options import MeasureOptions
+from cucumbervision_greenhouse.measuring import SharedMeasurer
 from cucumbervision_greenhouse.rounds.adding import Added, Place, add_captures, save_measured
 from cucumbervision_greenhouse.store.records import Round, StopRecord, key_of, new_key
 from cucumbervision_greenhouse.store.repository import Store, open_store
+from cucumbervision_greenhouse.store.waiting import WaitingCaptures
 
 WALK = Round(key_of("walk"), "morning", "house 1", 1_700_000_000.0, "long-cucumber")
 LONG = Round(key_of("long walk"), "500 stops", "house 1", 1_700_100_000.0, "long-cucumber")
@@ -36,6 +39,27 @@ def add_one(
     """Measure a capture as the dashboard does what waits, and save it under a key of its own."""
     measurer, stop = Measurer(options), Place().stop(capture, key or new_key(), round_key)
     return save_measured(store, stop, measurer.attempt(capture), measurer)
+
+
+def measure_waiting(
+    queue: WaitingCaptures,
+    measurer: SharedMeasurer,
+    store: Store,
+    options: Callable[[], MeasureOptions],
+    settle: Callable[[str], object] = print,
+    job: Any = None,
+) -> int:
+    """Measure a queue as the dashboard does, with these in place of its own."""
+    pytest.importorskip("streamlit")
+    from cucumbervision_greenhouse import resources, tasks
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(resources, "measurer", lambda: measurer)
+        patch.setattr(tasks, "waiting", lambda: queue)
+        patch.setattr(tasks, "store", lambda: store)
+        patch.setattr(tasks, "settings", lambda: SimpleNamespace(options=options()))
+        patch.setattr(tasks, "_settle", settle)
+        return tasks.measure_waiting(job or resources.Job("Measuring"))
 
 
 def whole_stop(store: Store, key: str) -> StopRecord:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from demo_captures import SCENES, place
 from tests.accuracy.test_calibration_file import entry, site
-from tests.greenhouse.conftest import add_one, whole_stop
+from tests.greenhouse.conftest import add_one, measure_waiting, whole_stop
 
 from cucumbervision import errors
 from cucumbervision.accuracy.calibration_file import write_site_calibration
@@ -23,8 +23,7 @@ from cucumbervision.fruit.masks import box_of_mask
 from cucumbervision.methods.flags import Flag
 from cucumbervision.networks.registry import load_registry
 from cucumbervision.run.options import MeasureOptions
-from cucumbervision_greenhouse.jobs import Job
-from cucumbervision_greenhouse.measuring import SharedMeasurer, is_doubtful, measure_waiting
+from cucumbervision_greenhouse.measuring import SharedMeasurer, is_doubtful
 from cucumbervision_greenhouse.round_view import doubtful
 from cucumbervision_greenhouse.rounds.adding import stored_calibration, stored_capture
 from cucumbervision_greenhouse.rounds.forecasting import fruit_states
@@ -198,8 +197,7 @@ def test_options_and_calibrations_that_change_count_from_the_next_capture_on(
         at = replace(capture, stop=Stop("1", "left", 0.4 * number, number))
         queue.put(at, key_of("press", number), key_of("queue"), float(number + 1))
     write_site_calibration(path, site(scale=1.04))
-    job = Job("Measuring")
-    assert measure_waiting(queue, measurer, store, lambda: choices[0], print, job) == 3
+    assert measure_waiting(queue, measurer, store, lambda: choices[0]) == 3
     stops = sorted(store.stops(key_of("queue")), key=lambda stop: stop.step or 0)
     used = [stored_calibration(store.stop(stop.key)) for stop in stops]
     assert used == [site(scale=1.04), site(scale=1.01), None]
@@ -207,7 +205,7 @@ def test_options_and_calibrations_that_change_count_from_the_next_capture_on(
     path.unlink()
     lost = replace(OPTIONS, calibration=path)
     with pytest.raises(errors.CalibrationError, match=r"site\.json: the file is missing"):
-        measure_waiting(queue, measurer, store, lambda: lost, print, job)
+        measure_waiting(queue, measurer, store, lambda: lost)
     assert [one.tries for one in queue.captures()] == [0]  # it waits
 
 
@@ -226,7 +224,7 @@ def test_a_store_that_is_full_or_away_sets_no_capture_aside(
     store.save_round(Round(key_of("queue")))
     capture = next(iter(open_source(example_captures()))).load()
     queue.put(capture, key_of("press"), key_of("queue"), 1.0)
-    parts = queue, measurer, store, lambda: OPTIONS, print, Job("Measuring")
+    parts = queue, measurer, store, lambda: OPTIONS
     with monkeypatch.context() as patch:
         patch.setattr(Store, "save_stop", fail)
         for _ in range(4):

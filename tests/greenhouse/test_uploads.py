@@ -18,6 +18,7 @@ import cv2
 import numpy as np
 import pytest
 from pydantic import ValidationError
+from tests.greenhouse.conftest import measure_waiting
 
 pytest.importorskip("streamlit")
 
@@ -25,8 +26,7 @@ from cucumbervision.capture.source import ReadOptions, example_captures
 from cucumbervision.errors import CucumberVisionError, DiskFullError, StoreAwayError, UploadError
 from cucumbervision.networks.registry import load_registry
 from cucumbervision.run.options import MeasureOptions
-from cucumbervision_greenhouse.jobs import Job
-from cucumbervision_greenhouse.measuring import SharedMeasurer, measure_waiting
+from cucumbervision_greenhouse.measuring import SharedMeasurer
 from cucumbervision_greenhouse.rounds.walking import DEMONSTRATION, NextPlace
 from cucumbervision_greenhouse.store.records import Round, key_of
 from cucumbervision_greenhouse.store.repository import Store, open_store
@@ -161,8 +161,7 @@ def packed() -> io.BytesIO:
 
 def measure(store: Store, waiting: WaitingCaptures) -> None:
     options, measurer = MeasureOptions(instances="dataset"), SharedMeasurer(load_registry())
-    job = Job("measuring")
-    measure_waiting(waiting, measurer, store, lambda: options, print, job)
+    measure_waiting(waiting, measurer, store, lambda: options)
 
 
 def test_one_bad_file_costs_only_itself_and_each_is_told_by_its_name(

@@ -32,11 +32,10 @@ from cucumbervision.names import LONGEST_NAME
 from cucumbervision.run.overlay import as_jpeg
 from cucumbervision_greenhouse import fruit_pictures, resources, round_view, tasks
 from cucumbervision_greenhouse import words as texts
-from cucumbervision_greenhouse.answers import Key, Sent, answer, store_of
+from cucumbervision_greenhouse.access import Key, Sent, answer
 from cucumbervision_greenhouse.camera import cameras
 from cucumbervision_greenhouse.camera.cameras import Preview
 from cucumbervision_greenhouse.camera.shutter import Shutter, is_lost
-from cucumbervision_greenhouse.jobs import Job, fault_of
 from cucumbervision_greenhouse.language import (
     ask_for,
     counted,
@@ -46,6 +45,7 @@ from cucumbervision_greenhouse.language import (
     words_of,
 )
 from cucumbervision_greenhouse.language import gettext as _
+from cucumbervision_greenhouse.resources import Job, fault_of
 from cucumbervision_greenhouse.rounds.walking import DEMONSTRATION, next_place, sides_of
 from cucumbervision_greenhouse.store.marks import TAKE_BACK
 from cucumbervision_greenhouse.store.records import LogEntry, Round, StopRecord, Verdict
@@ -135,7 +135,7 @@ def _shutter() -> Shutter:
 @answer
 def _walk(request: Request, _: bytes) -> Any:
     asked = request.query_params
-    return walk(store_of(request), asked.get("round", ""), asked.get("source", ""))
+    return walk(resources.store_of(request), asked.get("round", ""), asked.get("source", ""))
 
 
 def walk(store: Store, round_key: str, source: str) -> dict[str, Any]:
@@ -181,7 +181,7 @@ def walk(store: Store, round_key: str, source: str) -> dict[str, Any]:
         "rows": _rows([*stops, *waiting]),
         "from": last and {"key": last.key, **_place(last)},
         "sides": sides_of(stops),
-        "work": progress.news,
+        "work": vars(progress),
         "first": first,
         "doubts": [
             words_of(line) for x in rounds if x.key == home for line in round_view.view_of(x).doubts
@@ -484,7 +484,7 @@ def _post(path: str, kind: type[SentT], act: Callable[[Store, SentT], Any]) -> R
 
     @answer
     def work(request: Request, content: bytes) -> Any:
-        return act(store_of(request), kind.model_validate_json(content))
+        return act(resources.store_of(request), kind.model_validate_json(content))
 
     return Route(path, work, methods=["POST"])
 

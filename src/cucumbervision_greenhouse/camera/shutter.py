@@ -11,7 +11,7 @@ from dataclasses import replace
 
 from cucumbervision.capture.frames import Stop
 from cucumbervision_greenhouse.camera.cameras import Feed, FolderFeed, PictureGoneError
-from cucumbervision_greenhouse.jobs import fault_of
+from cucumbervision_greenhouse.resources import fault_of
 from cucumbervision_greenhouse.rounds.walking import last_step, round_for_capture, unless_taken
 from cucumbervision_greenhouse.store.records import key_of
 from cucumbervision_greenhouse.store.repository import Store

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+import cucumbervision_greenhouse as greenhouse
 from cucumbervision.cli.choices import (
     EXIT_CODES,
     OF_CAMERA_FILE,
@@ -21,17 +22,17 @@ from cucumbervision.cli.choices import (
     measure_options,
     takes,
 )
+from cucumbervision_greenhouse import rounds
 from cucumbervision_greenhouse.exports import ExportFormat
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from cucumbervision.crop.profiles import CropProfile
     from cucumbervision.run.batch import LoopOptions
     from cucumbervision.run.options import MeasureOptions
+    from cucumbervision_greenhouse import Round, Store
     from cucumbervision_greenhouse.rounds.adding import Added
-    from cucumbervision_greenhouse.store.records import Round
-    from cucumbervision_greenhouse.store.repository import Store
 
 
 app = typer.Typer(
@@ -44,11 +45,26 @@ app = typer.Typer(
 @contextmanager
 def opened_round(where: str, name: str) -> Iterator[tuple[Store, Round]]:
     """Open a store and find a round in it; close the store at the end."""
-    from cucumbervision_greenhouse.rounds.fruit_table import find_round
-    from cucumbervision_greenhouse.store.repository import open_store
+    with greenhouse.open_store(where, create=False) as store:
+        yield store, rounds.find_round(store, name)
 
-    with open_store(where, create=False) as store:
-        yield store, find_round(store, name)
+
+def _show(
+    title: str | None,
+    text_heads: Sequence[str],
+    right_heads: Sequence[str],
+    lines: Iterable[Iterable[object]],
+    *last_heads: str,
+) -> None:
+    """Print a table; its last columns are folded where they are too wide."""
+    from cucumbervision.cli.console import columns_table, screen
+
+    table = columns_table(title, text_heads, *right_heads)
+    for head in last_heads:
+        table.add_column(head, overflow="fold")
+    for line in lines:
+        table.add_row(*map(str, line))
+    screen().print(table)
 
 
 def chosen_profile(name: str | None, round_summary: Round) -> CropProfile | None:
@@ -68,12 +84,10 @@ def new(
 ) -> None:
     """Create a round and print its key."""
     from cucumbervision.crop.profiles import load_profile
-    from cucumbervision_greenhouse.store.records import Round
-    from cucumbervision_greenhouse.store.repository import open_store
 
     load_profile(profile)
-    record = Round(name=name, house=house, profile=profile)
-    with open_store(store) as opened:
+    record = greenhouse.Round(name=name, house=house, profile=profile)
+    with greenhouse.open_store(store) as opened:
         opened.save_round(record)
         saved = opened.round(record.key)
     if saved is not None and saved.house != house.strip():
@@ -119,12 +133,9 @@ def add(
 
     from cucumbervision.cli.console import progress_bar, screen, stopping_gently
     from cucumbervision.run.batch import count_captures
-    from cucumbervision_greenhouse.rounds.adding import Place, add_captures
-    from cucumbervision_greenhouse.rounds.fruit_table import round_doubts
-    from cucumbervision_greenhouse.rounds.poses import read_poses
 
-    lines = {} if poses is None else read_poses(poses)
-    place = Place(row, side, position, spacing, position_sd, _sign(higher_to), lines)
+    lines = {} if poses is None else rounds.read_poses(poses)
+    place = rounds.Place(row, side, position, spacing, position_sd, _sign(higher_to), lines)
     with (
         opened_round(store, round_) as (opened, round_summary),
         progress_bar(Console(stderr=True, highlight=False)) as bar,
@@ -134,10 +145,10 @@ def add(
         step = partial(bar.advance, bar.add_task("measuring", total=total))
         options = with_limits(options, round_summary)
         loop = replace(loop, is_cancelled=is_cancelled)
-        stops = add_captures(
+        stops = rounds.add_captures(
             opened, round_summary.key, captures, options, place, lambda _: step(), loop
         )
-        doubts = round_doubts(opened.detections(round_summary.key))
+        doubts = rounds.round_doubts(opened.detections(round_summary.key))
     if unused := sorted(place.poses.keys() - {stop.name for stop in stops}):
         line = f"{poses}: no capture is called {', '.join(unused)}"
         screen().print(line, soft_wrap=True, markup=False)
@@ -194,17 +205,18 @@ def remeasure(
 
     from cucumbervision.cli.console import progress_bar, screen, show_failures
     from cucumbervision.run.measurer import exit_code
-    from cucumbervision_greenhouse.rounds.adding import measure_round_again
 
     with opened_round(store, round_) as (opened, round_summary):
         with progress_bar(Console(stderr=True, highlight=False)) as bar:
             task = bar.add_task("measuring", total=None)
-            key, failures = measure_round_again(
+            key, failures = rounds.measure_round_again(
                 *(opened, round_summary, with_limits(options, round_summary)),
                 lambda k, total: bar.update(task, completed=k, total=total),
                 loop,
             )
-        settle_round(opened, key)
+        fault = rounds.settle(opened, key, chosen_profile(None, rounds.find_round(opened, key)))
+    if fault:
+        screen().print(fault, soft_wrap=True, markup=False)
     kept = "nothing was changed" if failures else f"the new round is {key}"
     screen().print(f"{round_summary.stops} stops measured again; {kept}.")
     show_failures(failures)
@@ -214,38 +226,25 @@ def remeasure(
 @app.command("merge")
 def merge(store: StoreName = "house.db", round_: RoundName = "") -> None:
     """Merge views of the same fruit from several stops; manual decisions are kept."""
-    from cucumbervision.cli.console import columns_table, screen
-    from cucumbervision_greenhouse.rounds.fruit_table import read_round
-    from cucumbervision_greenhouse.rounds.merge_and_link import merge_round, row_counts
+    from cucumbervision.cli.console import screen
 
     with opened_round(store, round_) as (opened, round_summary):
-        mirrored = merge_round(opened, round_summary.key)
-        rows = row_counts(read_round(opened, round_summary.key))
-    right = ("stops", "views", "fruit", "stops known to")
-    table = columns_table("Merged rows", ("row",), *right)
+        mirrored = rounds.merge_round(opened, round_summary.key)
+        rows = rounds.row_counts(rounds.read_round(opened, round_summary.key))
+    lines = []
     for row in rows:
-        known_to = "" if row.stop_sd_m is None else f"{100 * row.stop_sd_m:.1f} cm"
-        counts = (row.stops, row.views, row.fruit)
-        table.add_row(row.row, *(str(count) for count in counts), known_to)
+        sd_m = row["stop_sd_m"]
+        counts = [row[name] for name in ("row", "stops", "views", "fruit")]
+        lines.append([*counts, "" if sd_m is None else f"{100 * sd_m:.1f} cm"])
+    _show("Merged rows", ("row",), ("stops", "views", "fruit", "stops known to"), lines)
     console = screen()
-    console.print(table)
     for row in rows:
-        name = f"row {row.row}"
-        if row.unplaced:
-            console.print(f"{name}: {row.unplaced} fruit without position or depth are not merged")
-        for side in mirrored.get(row.row, ()):
+        name, unplaced = f"row {row['row']}", row["unplaced"]
+        if unplaced:
+            console.print(f"{name}: {unplaced} fruit without position or depth are not merged")
+        for side in mirrored.get(row["row"], ()):
             words = "add its captures to a new round with --higher-to"
             console.print(f"{name}, side {side}: positions seem to be reversed; {words}")
-
-
-def settle_round(store: Store, key: str) -> None:
-    """Merge a round again and link it; print failures."""
-    from cucumbervision.cli.console import screen
-    from cucumbervision_greenhouse.rounds.fruit_table import find_round
-    from cucumbervision_greenhouse.rounds.merge_and_link import settle
-
-    if fault := settle(store, key, chosen_profile(None, find_round(store, key))):
-        screen().print(fault, soft_wrap=True, markup=False)
 
 
 @app.command()
@@ -255,72 +254,63 @@ def link(
     round_: RoundName = "",
 ) -> None:
     """Link fruit to those of an earlier round, which may have grown and moved."""
-    from cucumbervision.cli.console import columns_table, screen
-    from cucumbervision_greenhouse.rounds.fruit_table import find_round
-    from cucumbervision_greenhouse.rounds.merge_and_link import link_rounds
-
     with opened_round(store, earlier) as (opened, before):
-        later = find_round(opened, round_)
-        rows = link_rounds(opened, before.key, later.key, chosen_profile(None, later))
-    right = ("earlier", "later", "linked", "sure", "moved along")
-    table = columns_table("Fruit found again", ("row",), *right)
+        later = rounds.find_round(opened, round_)
+        rows = rounds.link_rounds(opened, before.key, later.key, chosen_profile(None, later))
+    lines = []
     for row in rows:
-        moved = f"{100 * row.shift_m:.0f} ± {100 * row.shift_sd_m:.0f} cm"
-        counts = (row.earlier, row.later, row.links, row.sure)
-        table.add_row(row.row, *(str(count) for count in counts), moved)
-    screen().print(table)
+        counts = [row[name] for name in ("row", "earlier", "later", "links", "sure")]
+        moved = f"{100 * row['shift_m']:.0f} ± {100 * row['shift_sd_m']:.0f} cm"
+        lines.append([*counts, moved])
+    heads = ("earlier", "later", "linked", "sure", "moved along")
+    _show("Fruit found again", ("row",), heads, lines)
 
 
 @app.command()
 def show(store: StoreName = "house.db", round_: RoundName = "", profile: Profile = None) -> None:
     """Show a round's fruit by row and position."""
-    from cucumbervision.cli.console import columns_table, screen
     from cucumbervision.crop.grades import grade
     from cucumbervision.methods.flags import flag_remarks
-    from cucumbervision_greenhouse.rounds.fruit_table import fruit_table, read_round
+    from cucumbervision_greenhouse.rounds.fruit_table import fruit_table
 
     def cm(low: float | None, high: float | None = None) -> str:
         return " – ".join(f"{100 * x:.1f}" for x in (low, high) if x is not None)
 
     with opened_round(store, round_) as (opened, round_summary):
-        lines = fruit_table(read_round(opened, round_summary.key))
+        table = fruit_table(rounds.read_round(opened, round_summary.key))
     crop = chosen_profile(profile, round_summary)
-    title = f"{round_summary.name or round_summary.key}: {len(lines)} fruit, lengths in cm"
-    right = ("at, m", "length", "90 % interval", "seen")
-    table = columns_table(title, ("no.", "row", "side"), *right)
-    for head in ("class", "remarks", "key"):
-        table.add_column(head, overflow="fold")
-    for line in lines:
-        unmeasured = f"not measured: {line.reason}" if line.length is None else ""
-        picked = "" if line.picked_s is None else "picked"
-        table.add_row(
-            *(str(line.number), line.row or "", line.side or ""),
-            "" if line.along_m is None else f"{line.along_m:.2f}",
-            f"{'≥ ' if line.at_least else ''}{cm(line.length_m)}",
-            "" if line.at_least else cm(line.interval_low_m, line.interval_high_m),
-            str(line.views),
-            "" if crop is None else grade(line, crop).words,
-            "; ".join(filter(None, (unmeasured, picked, flag_remarks(line.flags)))),
-            line.key[:8],
+    lines = []
+    for fruit in table:
+        unmeasured = f"not measured: {fruit.reason}" if fruit.length is None else ""
+        picked = "" if fruit.picked_s is None else "picked"
+        lines.append(
+            (
+                *(fruit.number, fruit.row or "", fruit.side or ""),
+                "" if fruit.along_m is None else f"{fruit.along_m:.2f}",
+                f"{'≥ ' if fruit.at_least else ''}{cm(fruit.length_m)}",
+                "" if fruit.at_least else cm(fruit.interval_low_m, fruit.interval_high_m),
+                fruit.views,
+                "" if crop is None else grade(fruit, crop).words,
+                "; ".join(filter(None, (unmeasured, picked, flag_remarks(fruit.flags)))),
+                fruit.key[:8],
+            )
         )
-    screen().print(table)
+    title = f"{round_summary.name or round_summary.key}: {len(table)} fruit, lengths in cm"
+    right = ("at, m", "length", "90 % interval", "seen")
+    _show(title, ("no.", "row", "side"), right, lines, "class", "remarks", "key")
 
 
 @app.command("list")
 def list_(store: StoreName = "house.db") -> None:
     """List the rounds, newest first."""
-    from cucumbervision.cli.console import columns_table, screen
-    from cucumbervision_greenhouse.store.repository import open_store
-
-    with open_store(store, create=False) as opened:
-        rounds = opened.rounds()
-    text_columns = ("key", "name", "house", "walked", "profile")
-    table = columns_table(None, text_columns, "stops", "views")
-    for walk in rounds:
+    with greenhouse.open_store(store, create=False) as opened:
+        walks = opened.rounds()
+    lines = []
+    for walk in walks:
         walked = datetime.fromtimestamp(walk.walked_s).astimezone().strftime("%Y-%m-%d %H:%M")
-        counts = str(walk.stops), str(walk.fruit)
-        table.add_row(walk.key[:8], walk.name, walk.house, walked, walk.profile, *counts)
-    screen().print(table)
+        names = (walk.key[:8], walk.name, walk.house, walked, walk.profile)
+        lines.append((*names, walk.stops, walk.fruit))
+    _show(None, ("key", "name", "house", "walked", "profile"), ("stops", "views"), lines)
 
 
 @app.command()
@@ -330,12 +320,11 @@ def check(
         bool, typer.Option("--remove", help="Remove pictures that no stop refers to.")
     ] = False,
 ) -> None:
-    """Verify a store: its file, all hashes and all pictures. Exits with 1 if something is wrong."""
+    """Verify a store: its file, all hashes and all images. Exits with 1 if something is wrong."""
     from cucumbervision.cli.console import screen
     from cucumbervision_greenhouse.store.check import check_store
-    from cucumbervision_greenhouse.store.repository import open_store
 
-    with open_store(store, create=False) as opened:
+    with greenhouse.open_store(store, create=False) as opened:
         report = check_store(opened, remove=remove)
     console = screen()
     console.print(f"{report.pictures} pictures, {len(report.orphans)} files that no stop names")

@@ -20,15 +20,8 @@ from cucumbervision.errors import CucumberVisionError
 from cucumbervision.methods.flags import flag_remarks
 from cucumbervision.run.fields import FIELDS, Cell, Field, read_fields, utc
 from cucumbervision_greenhouse.forecast.forecast import Counts, Forecast
-from cucumbervision_greenhouse.forecast.picking import Rates, Ready, pick_list, plan_work, ready_on
-from cucumbervision_greenhouse.rounds import forecasting
-from cucumbervision_greenhouse.rounds.fruit_table import (
-    RoundContent,
-    fruit_table,
-    hanging_lengths_m,
-    read_round,
-    round_figures,
-)
+from cucumbervision_greenhouse.forecast.picking import Rates, pick_list, plan_work, ready_on
+from cucumbervision_greenhouse.rounds import forecasting, fruit_table
 from cucumbervision_greenhouse.rounds.merge_and_link import DAY_S, row_counts
 from cucumbervision_greenhouse.store.records import ArtifactRecord, FruitRow, Round, StopRecord
 from cucumbervision_greenhouse.store.repository import Store
@@ -74,8 +67,8 @@ def round_tables(
         raise CucumberVisionError(
             f"no round has the key {round_key}", source=store.name, remedy="see `round list`"
         )
-    content = read_round(store, round_key)
-    table = fruit_table(content)
+    content = fruit_table.read_round(store, round_key)
+    table = fruit_table.fruit_table(content)
     now_s = time.time()
     forecast = None
     if profile is not None:
@@ -115,7 +108,7 @@ def round_tables(
             (fruit.with_(**shapes.get(fruit.key, {})), grades.get(fruit.key)) for fruit in table
         ),
         crop=profile.title if profile else called,
-        bins=_length_bins([100 * x for x in hanging_lengths_m(table)]),
+        bins=_length_bins([100 * x for x in fruit_table.hanging_lengths_m(table)]),
         note="no crop profile was named" if profile is None else "",
         stops=content.stops,
     )
@@ -167,23 +160,20 @@ def _about(view: Round, provenance: list[Line]) -> dict[str, Any]:
 
 def _summary(
     view: Round,
-    content: RoundContent,
+    content: fruit_table.RoundContent,
     table: Sequence[FruitRow],
     forecast: Forecast | None,
     profile: str,
 ) -> Line:
-    ready = Ready({}, 0, 0, 0) if forecast is None else ready_on(forecast)
     return {
         "view": view,
-        "figures": round_figures(content, table),
+        "figures": fruit_table.round_figures(content, table),
         "profile": profile,
         "rows": len({stop.row for stop in content.stops if stop.row is not None}),
         "stops": len(content.stops),
         "captures": sum(len(stop.captures) for stop in content.stops),
         "failures": sum(len(stop.failures) for stop in content.stops),
-        "ready_today": None if forecast is None else ready.fruit,
-        "surely_ready": None if forecast is None else ready.sure,
-        "may_be_ready": None if forecast is None else ready.may_be,
+        "ready": None if forecast is None else ready_on(forecast),
         "simulated": any(line.simulated for line in table),
     }
 
@@ -255,8 +245,8 @@ def _pick_lines(forecast: Forecast, table: Sequence[FruitRow]) -> Iterator[Line]
     for order, pick in enumerate(hanging, 1):
         line = lines[pick.fruit.fruit_id]
         yield {
-            **{"order": order, "number": line.number, "pick": pick, "view": line},
-            **{"simulated": line.simulated, "length_today_m": today_m.get(line.key)},
+            **{"order": order, "pick": pick, "view": line},
+            "length_today_m": today_m.get(line.key),
         }
 
 

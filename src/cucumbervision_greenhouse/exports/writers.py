@@ -77,10 +77,9 @@ def write_exports(
 
 def _write_csv(tables: RoundTables, out: Path) -> list[Path]:
     """Write each table as CSV (UTF-8, commas, decimal points) with escaped formulas."""
-    paths = [out / f"{name}.csv" for name in tables.tables]
-    for path, (name, rows) in zip(paths, tables.tables.items(), strict=True):
-        write_csv(path, [column.name for column in COLUMNS[name]], rows)
-    return paths
+    for name, rows in tables.tables.items():
+        write_csv(out / f"{name}.csv", [column.name for column in COLUMNS[name]], rows)
+    return sorted(out.glob("*.csv"))
 
 
 def _write_json_round(tables: RoundTables, out: Path) -> list[Path]:
@@ -104,10 +103,9 @@ def _write_json_round(tables: RoundTables, out: Path) -> list[Path]:
 
 def _write_parquet(tables: RoundTables, out: Path) -> list[Path]:
     """Write each table as Parquet with units, descriptions and hashes as metadata."""
-    paths = [out / f"{name}.parquet" for name in tables.tables]
-    for path, (name, rows) in zip(paths, tables.tables.items(), strict=True):
-        write_parquet(path, COLUMNS[name], rows, tables.provenance)
-    return paths
+    for name, rows in tables.tables.items():
+        write_parquet(out / f"{name}.parquet", COLUMNS[name], rows, tables.provenance)
+    return sorted(out.glob("*.parquet"))
 
 
 SHEETS = {
@@ -245,7 +243,7 @@ def _drawings(tables: RoundTables, units: Units) -> Iterator[tuple[str, str]]:
         if graded is not None and fruit.along_m is not None:
             pieces.setdefault(fruit.along_m // _PIECE_M, []).append(fruit)
     for piece in sorted(pieces):
-        of_piece = [x for x in tables.stops if (x.position_m or 0.0) // _PIECE_M == piece]
+        of_piece = [stop for stop in tables.stops if (stop.at_m or 0.0) // _PIECE_M == piece]
         yield from draw_rows(pieces[piece], of_piece, grades, units).items()
 
 

@@ -12,6 +12,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from cucumbervision.arrays import Array, Array32, Mask
 from cucumbervision.crop.grades import NO_CLASS, possible_classes
 from cucumbervision.crop.profiles import CropProfile
 from cucumbervision.methods.result import INTERVAL_Z
@@ -43,9 +44,9 @@ _SURELY_COMPLETE = 0.10  # largest probability that a fruit too small to be dete
 class Counts:
     """Number of fruit: mean and interval. Arrays of the same shape, float64."""
 
-    expected: NDArray[np.float64]
-    low: NDArray[np.float64]
-    high: NDArray[np.float64]
+    expected: Array
+    low: Array
+    high: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,17 +96,17 @@ class Forecast:
     rows: tuple[str, ...]
     fruit: tuple[FruitState, ...]
     possible: tuple[tuple[str, ...], ...]
-    length_m: NDArray[np.float64]
-    probability: NDArray[np.float64]
+    length_m: Array
+    probability: Array
     house: Counts
     by_row: Counts
     picks: Counts
     row_picks: Counts
     picked_by: Counts
-    complete: NDArray[np.bool_]
+    complete: Mask
     growth: Growth
 
-    def ready(self, day: int = 0) -> NDArray[np.float64]:
+    def ready(self, day: int = 0) -> Array:
         """Return the probability that each fruit is ready on a day, shape (N,), float64."""
         chosen = [self.classes.index(name) for name in self.pick]
         return np.asarray(self.probability[:, day, chosen].sum(axis=1), np.float64)
@@ -177,7 +178,7 @@ def forecast(
     row_of = [f.row for f in states]
     rows = tuple(dict.fromkeys(row_of))
     spans = list(pairwise([*(row_of.index(row) for row in rows), len(states)]))
-    shares: list[NDArray[np.float64]] = []
+    shares: list[Array] = []
     standing: list[NDArray[np.int64]] = []
     picked: list[NDArray[np.int64]] = []
     for k in range(len(profile.outcomes)):
@@ -187,6 +188,7 @@ def forecast(
         for counts, which in ((standing, members), (picked, members & newly)):
             of_rows = [np.count_nonzero(which[..., slice(*span)], axis=2) for span in spans]
             counts.append(np.stack([np.zeros(which.shape[:2], int), *of_rows], axis=2)[..., 1:])
+    picked_by = np.cumsum(np.sum(picked, axis=(0, 3)), axis=0)
     mean_m, sd_m = lengths_today(states, growth, day_0, scale_sd)
     return Forecast(
         day_0,
@@ -200,16 +202,14 @@ def forecast(
         np.stack(shares, axis=2).transpose(1, 0, 2),
         *_counts(np.stack(standing, axis=3), share, level, rng),
         *_counts(np.stack(picked, axis=3), share, level, rng),
-        _counts(np.cumsum(np.sum(picked, axis=(0, 3)), axis=0)[..., None, None], share, level, rng)[
-            0
-        ],
+        _counts(picked_by[..., None, None], share, level, rng)[0],
         _complete(newcomer_m, profile),
         growth,
     )
 
 
 def _resemble_longer(
-    lengths_m: NDArray[np.float32], fruit: Sequence[FruitState], rng: np.random.Generator
+    lengths_m: Array32, fruit: Sequence[FruitState], rng: np.random.Generator
 ) -> None:
     """Give each fruit with a lower bound the drawn lengths of whole fruit that are as long."""
     measured_m = np.array([0.0 if f.at_least else f.length_m for f in fruit])
@@ -221,7 +221,7 @@ def _resemble_longer(
 
 
 def _classes(
-    lengths_m: NDArray[np.float32], fruit: Sequence[FruitState], profile: CropProfile
+    lengths_m: Array32, fruit: Sequence[FruitState], profile: CropProfile
 ) -> NDArray[np.int8]:
     """Return the index of the class of each drawn length, no better than a fruit's shape allows."""
     bins = np.zeros(lengths_m.shape, np.int8)
@@ -236,11 +236,7 @@ def _classes(
 
 
 def _possible_today(
-    fruit: Sequence[FruitState],
-    today: float,
-    mean_m: NDArray[np.float64],
-    sd_m: NDArray[np.float64],
-    profile: CropProfile,
+    fruit: Sequence[FruitState], today: float, mean_m: Array, sd_m: Array, profile: CropProfile
 ) -> tuple[tuple[str, ...], ...]:
     """Return the classes that each fruit may be in today.
 
@@ -264,7 +260,7 @@ def _possible_today(
 
 
 def _counts(
-    drawn: NDArray[np.integer], share: NDArray[np.float64], level: float, rng: np.random.Generator
+    drawn: NDArray[np.integer], share: Array, level: float, rng: np.random.Generator
 ) -> tuple[Counts, Counts]:
     """Return the house's and the rows' counts of draws, (D, draws, R, C); their mean by shares."""
     ends = [0.5 - level / 2, 0.5 + level / 2]
@@ -284,7 +280,7 @@ def _counts(
     return house_and_rows[0], house_and_rows[1]
 
 
-def _complete(newcomer_m: NDArray[np.float32], profile: CropProfile) -> NDArray[np.bool_]:
+def _complete(newcomer_m: Array32, profile: CropProfile) -> Mask:
     """Return for each day and class whether no fruit too small today can be in it, (D, C)."""
     entries = [*(c.min_cm / 100 for c in profile.classes), np.inf, profile.edges_m[-1]]
     reach = [(newcomer_m >= entry).mean(axis=1) for entry in entries]

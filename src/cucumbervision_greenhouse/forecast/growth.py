@@ -18,11 +18,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from cucumbervision.arrays import Array, Array32, Numbers
 from cucumbervision.crop.profiles import CropProfile
 
 Point: TypeAlias = "tuple[float, float, float]"  # day, length in metres, its standard deviation
@@ -55,7 +56,7 @@ _LEAST_WEIGHT = 0.02  # of a curve that is drawn from
 _EXACT_M = 1e-6  # standard deviation of a length that is known
 
 
-def rate_share(length_m: ArrayLike, full_m: float) -> NDArray[np.float64]:
+def rate_share(length_m: ArrayLike, full_m: float) -> Array:
     """Return the share of its full growth by which a fruit of this length grows, float64.
 
     It falls linearly from 1 at half of `full_m`, the length at which growth stops, to 0.
@@ -68,7 +69,7 @@ def rate_share(length_m: ArrayLike, full_m: float) -> NDArray[np.float64]:
     return np.clip(2 * (1 - np.asarray(length_m, np.float64) / full_m), 0.0, 1.0)
 
 
-def stage_of(length_m: NDArray[Any], full_m: float) -> NDArray[Any]:
+def stage_of(length_m: Numbers, full_m: float) -> Numbers:
     """Return the length that a fruit would have if its growth did not slow, metres.
 
     A tenth of the growth is left to the longest, so that each length has a stage.
@@ -87,7 +88,7 @@ def stage_of(length_m: NDArray[Any], full_m: float) -> NDArray[Any]:
     )
 
 
-def length_of(stage_m: NDArray[Any], full_m: float) -> NDArray[Any]:
+def length_of(stage_m: Numbers, full_m: float) -> Numbers:
     """Return the length of a fruit at a stage, metres: the inverse of `stage_of`.
 
     Examples
@@ -197,44 +198,44 @@ class GrowthPrior:
         return cls(g.mean / 100, spreads, full_m, profile.accepted_m[0], g.source)
 
 
-@dataclass(frozen=True, eq=False)
-class LineSums:
-    """Sums over the points of N fruit, float64, shape (N,): what a line through each needs.
+def line_sums(histories: Sequence[Sequence[Point]], spreads: Spreads, full_m: float) -> Array:
+    """Return sums over the points of N fruit: what a line through each needs, float64.
 
     Days count from a fruit's last point, so that they are 0 or negative. A point's weight is the
     inverse of the variance of its stage and of the day-to-day growth since then.
 
     Parameters
     ----------
-    weight, day, day_day, stage, day_stage : ndarray
+    histories : sequence of sequence of (day, length_m, sd_m)
+        The points of each fruit in order of days, at least one.
+    spreads : Spreads
+        Those of days are used.
+    full_m : float
+        Length at which growth stops, metres.
+
+    Returns
+    -------
+    ndarray of float64, shape (5, N)
         Weighted sums of 1, day, day², stage, and day times stage.
     """
+    counts = [len(points) for points in histories]
+    fruit = np.repeat(np.arange(len(counts)), counts)
+    flat = np.array([p for points in histories for p in points], np.float64).reshape(-1, 3)
+    day, length_m, sd_m = flat.T
+    day = day - day[np.cumsum(counts, dtype=np.intp) - 1][fruit]
+    sd_m = sd_m / np.maximum(rate_share(length_m, full_m), _LEAST_SHARE)
+    stage_m = stage_of(length_m, full_m)
+    weight = 1 / (sd_m**2 - (spreads.day**2 + spreads.fruit_day**2) * day)
+    terms = (np.ones_like(day), day, day**2, stage_m, day * stage_m)
+    sums = [np.bincount(fruit, weight * term, len(counts)) for term in terms]
+    return np.array(sums, np.float64)  # without fruit they would be whole numbers
 
-    weight: NDArray[np.float64]
-    day: NDArray[np.float64]
-    day_day: NDArray[np.float64]
-    stage: NDArray[np.float64]
-    day_stage: NDArray[np.float64]
 
-    @classmethod
-    def of(cls, histories: Sequence[Sequence[Point]], spreads: Spreads, full_m: float) -> LineSums:
-        """Sum the points of each fruit, which are in order of days, at least one."""
-        counts = [len(points) for points in histories]
-        fruit = np.repeat(np.arange(len(counts)), counts)
-        flat = np.array([p for points in histories for p in points], np.float64).reshape(-1, 3)
-        day, length_m, sd_m = flat.T
-        day = day - day[np.cumsum(counts, dtype=np.intp) - 1][fruit]
-        sd_m = sd_m / np.maximum(rate_share(length_m, full_m), _LEAST_SHARE)
-        stage_m = stage_of(length_m, full_m)
-        weight = 1 / (sd_m**2 - (spreads.day**2 + spreads.fruit_day**2) * day)
-        terms = (np.ones_like(day), day, day**2, stage_m, day * stage_m)
-        sums = [np.bincount(fruit, weight * term, len(counts)) for term in terms]
-        return cls(*(np.asarray(total, np.float64) for total in sums))
-
-    def slopes(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the growth of fruit with two points or more, and its variance."""
-        spread = self.weight * self.day_day - self.day**2
-        return (self.weight * self.day_stage - self.day * self.stage) / spread, self.weight / spread
+def _slopes(sums: Array) -> tuple[Array, Array]:
+    """Return the growth of fruit with two points or more, and its variance, from `line_sums`."""
+    weight, day, day_day, stage, day_stage = sums
+    spread = weight * day_day - day**2
+    return (weight * day_stage - day * stage) / spread, weight / spread
 
 
 @dataclass(frozen=True)
@@ -337,7 +338,7 @@ def _fit(
     prior_fruit_var = spreads.row**2 + spreads.fruit**2
     if not histories:
         return Curve(full_m, prior.mean_m, spreads.house, prior_fruit_var**0.5), 0.0
-    growth, error = LineSums.of(histories, spreads, full_m).slopes()
+    growth, error = _slopes(line_sums(histories, spreads, full_m))
     fruit_var = _fruit_variance(growth, error, prior_fruit_var)
     weight = 1 / (fruit_var + error)
     measured_m = np.average(growth, weights=weight)
@@ -362,7 +363,7 @@ def _fair(histories: list[tuple[Point, Point]], prior: GrowthPrior) -> list[tupl
     """Return the fruit that would have been long enough for their first round at likely growth."""
     if not histories:
         return []
-    growth, _ = LineSums.of(histories, prior.spreads, np.inf).slopes()
+    growth, _ = _slopes(line_sums(histories, prior.spreads, np.inf))
     likely_m = float(np.median(growth)) + _FASTEST_SD * prior.spreads.fruit
     fair = [
         points
@@ -372,7 +373,7 @@ def _fair(histories: list[tuple[Point, Point]], prior: GrowthPrior) -> list[tupl
     return fair if len(fair) >= _LEAST_FAIR * len(histories) else histories
 
 
-def _fruit_variance(growth: NDArray[np.float64], error: NDArray[np.float64], prior: float) -> float:
+def _fruit_variance(growth: Array, error: Array, prior: float) -> float:
     """Return the variance of growth between fruit, from their growth and its errors.
 
     A residual's square has the expectation (variance + error) times its freedom, 1 less the fruit's
@@ -403,10 +404,10 @@ class FruitLines:
         Variance of the stage, covariance, variance of the growth.
     """
 
-    day: NDArray[np.float64]
-    stage_m: NDArray[np.float64]
-    growth_m: NDArray[np.float64]
-    covariance: NDArray[np.float64]
+    day: Array
+    stage_m: Array
+    growth_m: Array
+    covariance: Array
 
 
 def fruit_lines(
@@ -425,24 +426,25 @@ def fruit_lines(
     for state in fruit:
         alone_var = max(state.sd_m**2 - (scale_sd * state.length_m) ** 2, (0.1 * state.sd_m) ** 2)
         histories.append([*state.earlier, (state.day, state.length_m, alone_var**0.5)])
-    sums = LineSums.of(histories, growth.prior.spreads, curve.full_m)
+    sums = line_sums(histories, growth.prior.spreads, curve.full_m)
+    weight, day, day_day, stage, day_stage = sums
     # The house's growth is one more measurement of the slope.
     pull = curve.fruit_sd_m**-2
-    day_day = sums.day_day + pull
-    determinant = sums.weight * day_day - sums.day**2
-    stage_m = day_day * sums.stage - sums.day * sums.day_stage, -pull * sums.day
-    growth_m = sums.weight * sums.day_stage - sums.day * sums.stage, pull * sums.weight
+    day_day += pull
+    determinant = weight * day_day - day**2
+    stage_m = day_day * stage - day * day_stage, -pull * day
+    growth_m = weight * day_stage - day * stage, pull * weight
     return FruitLines(
         day=np.array([state.day for state in fruit], np.float64),
         stage_m=np.array(stage_m) / determinant,
         growth_m=np.array(growth_m) / determinant,
-        covariance=np.array([day_day, -sums.day, sums.weight]) / determinant,
+        covariance=np.array([day_day, -day, weight]) / determinant,
     )
 
 
 def lengths_today(
     fruit: Sequence[FruitState], growth: Growth, today: float, scale_sd: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Array, Array]:
     """Return the mean and standard deviation of each length today, metres, (N,)."""
     spreads = growth.prior.spreads
     mean_m, squares = np.zeros((2, len(fruit)))
@@ -470,7 +472,7 @@ def draw_lengths(
     scale_sd: float,
     rng: np.random.Generator,
     shortest_m: float,
-) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]]:
+) -> tuple[Array32, Array32, Array]:
     """Draw the lengths of fruit on days 0 to `days`; lengths never shrink.
 
     Parameters
@@ -532,11 +534,8 @@ def draw_lengths(
 
 
 def _step(
-    growth_m: NDArray[np.float32],
-    days: NDArray[np.float32] | np.float32,
-    spreads: Spreads,
-    rng: np.random.Generator,
-) -> NDArray[np.float32]:
+    growth_m: Array32, days: Array32 | np.float32, spreads: Spreads, rng: np.random.Generator
+) -> Array32:
     """Draw how far fruit come in some days, (draws, N): never back."""
     step = rng.standard_normal(growth_m.shape, np.float32)
     step *= np.float32(spreads.fruit_day)

@@ -291,10 +291,8 @@ def plan_work(forecast: Forecast, rates: Rates | None = None) -> tuple[DayWork, 
     for day in forecast.days.tolist():
         rows = forecast.row_picks.expected[:, day][:, chosen].sum(axis=1).tolist()
         ends = [
-            dict(
-                zip(forecast.pick, getattr(forecast.picks, end)[day, chosen].tolist(), strict=True)
-            )
-            for end in ("expected", "low", "high")
+            dict(zip(forecast.pick, counts[day, chosen].tolist(), strict=True))
+            for counts in vars(forecast.picks).values()
         ]
         hours, crates = zip(
             *(work(by_class, rows, rates or Rates()) for by_class in ends), strict=True

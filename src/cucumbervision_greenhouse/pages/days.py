@@ -16,7 +16,6 @@ from cucumbervision_greenhouse.pages.round_choice import label_options, of_round
 from cucumbervision_greenhouse.round_view import RoundView
 from cucumbervision_greenhouse.rounds.day_comparison import (
     Change,
-    ChangeCounts,
     DayComparison,
     FruitChange,
     offered_pairs,
@@ -56,7 +55,7 @@ def page(walk: RoundView) -> None:
     if fruit_key is not None and any(fruit_key in _keys(fruit) for fruit in comparison.changes):
         _fruit_days(round_summary, fruit_key)
         return
-    _metrics(comparison.counts(), before, round_summary)
+    _metrics(comparison, before, round_summary)
     _offer(comparison, before, round_summary)
     _rows(comparison)
     _classes(comparison, before, round_summary)
@@ -79,24 +78,25 @@ def _keys(fruit: FruitChange) -> list[str]:
     return [view.key for view in (fruit.before, fruit.after) if view is not None]
 
 
-def _metrics(counts: ChangeCounts, before: Round, after: Round) -> None:
+def _metrics(counts: DayComparison, before: Round, after: Round) -> None:
     metrics: dict[str, int | str] = {
         _("On {day}").format(day=texts.day_words(before.walked_s)): counts.before,
-        _("Picked"): counts.picked,
-        _("Not seen again"): counts.gone,
-        _("New"): counts.new,
+        _("Picked"): counts.number(Change.PICKED),
+        _("Not seen again"): counts.number(Change.GONE),
+        _("New"): counts.number(Change.NEW),
         _("On {day}").format(day=texts.day_words(after.walked_s)): counts.after,
         _("Growth"): texts.daily_growth_words(counts.growth_m_per_day, resources.settings().units),
     }
     page_elements.metrics(metrics)
-    if counts.gone and counts.new and not counts.stayed:
+    stayed = counts.of(Change.STAYED)
+    if counts.of(Change.GONE) and counts.of(Change.NEW) and not stayed:
         words = _(
             "No fruit of one day is surely one of the other: 'not seen again' and 'new' may be the "
             "same fruit."
         )
         st.warning(words, icon=":material/link_off:")
     notes = []
-    if n := counts.not_walked:
+    if n := counts.number(Change.NOT_WALKED):
         notes.append(
             counted(
                 n,
@@ -104,7 +104,7 @@ def _metrics(counts: ChangeCounts, before: Round, after: Round) -> None:
                 "{n} fruit hang where only one of the two rounds went: not compared.",
             )
         )
-    if n := counts.returned:
+    if n := sum(fruit.is_back for fruit in counts.changes):
         notes.append(
             counted(
                 n,
@@ -151,9 +151,9 @@ def _rows(comparison: DayComparison) -> None:
         {
             _("Row"): row or "?",
             _("Before"): counts.before,
-            _("Picked"): counts.picked,
-            _("Not seen again"): counts.gone,
-            _("New"): counts.new,
+            _("Picked"): counts.number(Change.PICKED),
+            _("Not seen again"): counts.number(Change.GONE),
+            _("New"): counts.number(Change.NEW),
             _("Now"): counts.after,
             _("Growth"): texts.daily_growth_words(
                 counts.growth_m_per_day, resources.settings().units

@@ -108,14 +108,14 @@ def _classes(walk: RoundView) -> None:
 def _statistics(walk: RoundView) -> None:
     figures, units = round_figures(walk.content, walk.fruit), resources.settings().units
     fruit, mean = _("Fruit"), _("Mean length")
-    below = {fruit: counted(figures.detections, "detected {n} time", "detected {n} times")}
-    if figures.sd_m:
-        below[mean] = f"± {units.text(figures.sd_m)}"
+    below = {fruit: counted(figures["detections"], "detected {n} time", "detected {n} times")}
+    if figures["sd_m"]:
+        below[mean] = f"± {units.text(figures['sd_m'])}"
     metrics = {
-        fruit: figures.fruit,
-        _("Measured"): figures.measured,
-        mean: units.text(figures.mean_m),
-        _("Picked"): figures.picked,
+        fruit: figures["fruit"],
+        _("Measured"): figures["measured"],
+        mean: units.text(figures["mean_m"]),
+        _("Picked"): figures["picked"],
         _("Deleted"): len(walk.deleted),
     }
     page_elements.metrics(metrics, below)

@@ -19,27 +19,27 @@ from cucumbervision_greenhouse.pages import page_elements
 from cucumbervision_greenhouse.pages.page_elements import button
 from cucumbervision_greenhouse.pages.round_choice import label_options, of_round
 from cucumbervision_greenhouse.round_view import RoundView, doubtful
-from cucumbervision_greenhouse.rounds.forecasting import Age, Today
+from cucumbervision_greenhouse.rounds.forecasting import Age
 from cucumbervision_greenhouse.rounds.walking import is_demonstration
 
 
 @of_round
 def page(walk: RoundView) -> None:
     """Draw the page."""
-    today = round_view.today_of(walk.round)
+    today, rows = walk.today, walk.picks
     page_elements.draw_age(walk.round)
     if is_demonstration(walk.key):
         st.info(_("A computer-made example."), icon=":material/draw:")
-    _next(walk, today)
-    if not today.rows or today.forecast is None:
+    _next(walk, is_ready=bool(rows))
+    if not rows or today is None:
         return
-    _ready(walk, today.forecast)
+    _ready(walk, today)
     st.header(_("Pick list"))
     st.link_button(_("Print"), f"/api/print/{walk.key}", icon=":material/print:", width="stretch")
-    _picks(walk, today)
+    _picks(walk, today, rows)
 
 
-def _next(walk: RoundView, today: Today) -> None:
+def _next(walk: RoundView, *, is_ready: bool) -> None:
     """Show what to do next, with a link to the page for it."""
     waiting = tasks.progress(walk.key).waiting
     if waiting:
@@ -50,9 +50,9 @@ def _next(walk: RoundView, today: Today) -> None:
             "{n} captures are still being measured.",
         )
         page_elements.step(words, "capture", _("Capture"))
-    if today.age is not Age.FRESH:
+    if walk.age[1] is not Age.FRESH:
         page_elements.step(_("Start a new round and walk again."), "capture", _("Capture"))
-    elif not today.rows and not waiting:
+    elif not is_ready and not waiting:
         words = _("No fruit is ready today. The forecast shows when.")
         page_elements.step(words, "forecast", _("Forecast"))
     if unsure := doubtful(walk.fruit):
@@ -98,11 +98,10 @@ _SAID = {
 }
 
 
-def _picks(walk: RoundView, today: Today) -> None:
+def _picks(walk: RoundView, today: Forecast, rows: dict[str, list[Pick]]) -> None:
     @st.fragment
     def _draw() -> None:
         picked = _picked(walk)
-        rows = today.rows
         ready = {row: [p for p in rows[row] if p.kind is PickKind.READY] for row in rows}
         done = {row: sum(_is_picked(p, picked) for p in ready[row]) for row in rows}
         counts = {
@@ -194,11 +193,9 @@ def _all_picked(walk: RoundView, row: str, unpicked: list[str]) -> None:
         st.caption(_("Tap a fruit when it is picked. Tap again to undo."))
 
 
-def _work(today: Today, picked: set[str]) -> None:
-    if today.forecast is None:
-        return
-    rows = [ready_on(today.forecast, row=row, picked=picked) for row in today.forecast.rows]
-    by_class = {name: sum(row.expected[name] for row in rows) for name in today.forecast.pick}
+def _work(today: Forecast, picked: set[str]) -> None:
+    rows = [ready_on(today, row=row, picked=picked) for row in today.rows]
+    by_class = {name: sum(row.expected[name] for row in rows) for name in today.pick}
     hours, crates = work(by_class, [row.fruit for row in rows], resources.settings().rates)
     words = page_elements.work_words(hours, sum(crates.values()))
     says = _("About {work} at your rates ('Forecast', 'Work and crates'). It is {clock}.")

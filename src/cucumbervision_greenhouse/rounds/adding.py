@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cucumbervision._version import __version__
 from cucumbervision.about import code_sha256
 from cucumbervision.accuracy.calibration_file import SiteCalibration
+from cucumbervision.arrays import Array
 from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.frames import Capture, Doubt, Stop
 from cucumbervision.capture.readers.native import MANIFEST
@@ -32,15 +32,7 @@ from cucumbervision.run.fields import stored_row
 from cucumbervision.run.measurer import Boundary, CaptureResult, Failure, Measurer
 from cucumbervision.run.options import GRAVITY_BY_EDGE, MeasureOptions
 from cucumbervision.tube.shape import arc_positions
-from cucumbervision_greenhouse.rounds.poses import (
-    MIDDLE_SD_M,
-    PoseLine,
-    offset_of,
-    pose_matrix,
-    sign_of_side,
-    stored_pose,
-)
-from cucumbervision_greenhouse.rounds.walking import refuse_taken
+from cucumbervision_greenhouse.rounds import walking
 from cucumbervision_greenhouse.store.images import DEPTH_UNIT_M, ImageStore
 from cucumbervision_greenhouse.store.records import (
     ArtifactRecord,
@@ -80,8 +72,8 @@ class Place:
     position_sd_m : float
         How sure positions are.
     sign : int, optional
-        1 where positions get higher to the right in the picture, else -1; by default as
-        `poses.sign_of_side` returns for the side.
+        1 where positions get higher to the right in the image, else -1; by default as
+        `sign_of_side` returns for the side.
     poses : mapping of str to PoseLine
         Poses by the capture's name; they take precedence.
     """
@@ -90,9 +82,9 @@ class Place:
     side: str | None = None
     position_m: float | None = None
     spacing_m: float | None = None
-    position_sd_m: float = MIDDLE_SD_M
+    position_sd_m: float = walking.MIDDLE_SD_M
     sign: int | None = None
-    poses: Mapping[str, PoseLine] = field(default_factory=dict)
+    poses: Mapping[str, walking.PoseLine] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Refuse a place that no stop can have."""
@@ -133,8 +125,8 @@ class Place:
             row, side, position_m = line.row or row, line.side or side, line.position_m
             sd_m = line.position_sd_m
             turned = {name: getattr(line, name) or 0.0 for name in _POSE_COLUMNS}
-        sign = sign_of_side(side) if self.sign is None else self.sign
-        pose = pose_matrix(position_m or 0.0, sign, **turned)
+        sign = walking.sign_of_side(side) if self.sign is None else self.sign
+        pose = walking.pose_matrix(position_m or 0.0, sign, **turned)
         camera = CameraModel.of(capture.intrinsics).model_dump(mode="json")
         return StopRecord(
             **vars(Stop(row, side, position_m, number + 1 if stop.step is None else stop.step)),
@@ -319,7 +311,7 @@ def _added(
     # The same capture may be given twice.
     if result is None or store.stop_is_deleted(item.stop.key) is not None:
         return Added(item.name, item.stop.key, deleted=bool(item.is_deleted))
-    refuse_taken(store, item.stop)
+    walking.refuse_taken(store, item.stop)
     return save_measured(store, item.stop, result, measurer)
 
 
@@ -352,7 +344,7 @@ def measured_stop(
     measurer: Measurer | None = None,
     images: ImageStore | None = None,
 ) -> StopRecord:
-    """Return a stop with what was measured there; its pictures are put into `images`.
+    """Return a stop with what was measured there; its images are put into `images`.
 
     Parameters
     ----------
@@ -363,14 +355,14 @@ def measured_stop(
     measurer : Measurer, optional
         The measurer, whose software, options, networks and calibration are stored.
     images : ImageStore, optional
-        None keeps no pictures.
+        None keeps no images.
 
     Raises
     ------
     StoreError
-        If a picture cannot be written.
+        If an image cannot be written.
     """
-    pose = stored_pose(stop.pose, stop.side)
+    pose = walking.stored_pose(stop.pose, stop.side)
     return replace(
         stop,
         captures=tuple(_capture_record(result, pose, images) for result in results),
@@ -394,12 +386,10 @@ def _written_s(source: str) -> float | None:
         return None
 
 
-def _capture_record(
-    result: CaptureResult, pose: NDArray[np.float64], images: ImageStore | None
-) -> CaptureRecord:
-    capture, pictures = result.capture, dict[str, Any]()
+def _capture_record(result: CaptureResult, pose: Array, images: ImageStore | None) -> CaptureRecord:
+    capture, stored = result.capture, dict[str, Any]()
     if images is not None:
-        pictures = {
+        stored = {
             "color": images.put_color(capture.color),
             "depth": images.put_depth(capture.depth_m),
             "thumbnail": images.put_thumbnail(capture.color),
@@ -417,7 +407,7 @@ def _capture_record(
             fruit_record(capture, number, fruit, pose)
             for number, fruit in enumerate(result.fruit, 1)
         ),
-        **pictures,
+        **stored,
     )
 
 
@@ -429,9 +419,9 @@ def stored_capture(images: ImageStore, record: CaptureRecord, stop: StopRecord) 
     Raises
     ------
     StoredImageError
-        If a picture is missing or damaged.
+        If an image is missing or damaged.
     InstancesError
-        If it was kept without pictures.
+        If it was kept without images.
     """
     if record.color is None or record.depth is None:
         raise InstancesError(
@@ -450,9 +440,7 @@ def stored_capture(images: ImageStore, record: CaptureRecord, stop: StopRecord) 
     )
 
 
-def fruit_record(
-    capture: Capture, number: int, fruit: Fruit, pose: NDArray[np.float64]
-) -> FruitRow:
+def fruit_record(capture: Capture, number: int, fruit: Fruit, pose: Array) -> FruitRow:
     """Return the row of a capture's fruit by its number from 1, with mask and path.
 
     Parameters
@@ -470,13 +458,13 @@ def fruit_record(
         mask=None if fruit.mask is None else encode_rle(fruit.mask),
         **({} if chosen is None else _path_of(chosen)),
     )
-    if (offset := offset_of(row, pose)) is not None:
+    if (offset := walking.offset_of(row, pose)) is not None:
         row.offset_m, row.offset_sd_m = (round(float(part[0]), 5) for part in offset)
     return row
 
 
 def instance_of(record: FruitRow, shape: tuple[int, int]) -> Instance:
-    """Return a stored fruit as an instance in a picture of this height and width."""
+    """Return a stored fruit as an instance in an image of this height and width."""
     edges = (record.box_x1_px, record.box_y1_px, record.box_x2_px, record.box_y2_px)
     return Instance(
         np.array(edges),
@@ -499,7 +487,7 @@ def _artifact_records(
 ) -> tuple[ArtifactRecord, ...]:
     """Return software, configuration, networks and calibration that a measurer measures with."""
     options, site = measurer.options, measurer.site
-    records = [
+    made = [
         ArtifactRecord("software", f"cucumbervision {__version__}", code_sha256()),
         ArtifactRecord("config", "measure", options.sha256, options.as_json()),
     ]
@@ -507,17 +495,17 @@ def _artifact_records(
     for model in [candidate for k, candidate in enumerate(models) if candidate not in models[:k]]:
         details = {k: v for k, v in model.items() if k not in {"name", "sha256"}}
         sha256 = str(model.get("sha256") or "")
-        records.append(ArtifactRecord("model", str(model["name"]), sha256, json_value(details)))
+        made.append(ArtifactRecord("model", str(model["name"]), sha256, json_value(details)))
     if site is not None:
         details = site.model_dump(mode="json")
-        records.append(ArtifactRecord(_CALIBRATION, site.name, site.sha256, details))
-    return tuple(records)
+        made.append(ArtifactRecord(_CALIBRATION, site.name, site.sha256, details))
+    return tuple(made)
 
 
 def _path_of(measurement: Measurement) -> dict[str, Any]:
     """Return the line that was measured, and the tube's diameter along it."""
     fit, path = measurement.fit, measurement.path_m
-    diameter: NDArray[np.float64] | None = None
+    diameter: Array | None = None
     if fit is not None:
         path = fit.traits.axis_m
         diameter = np.interp(arc_positions(path), fit.traits.along_m, fit.traits.diameter_m)
@@ -531,7 +519,7 @@ def _path_of(measurement: Measurement) -> dict[str, Any]:
     }
 
 
-def _rows_of(values: NDArray[np.float64]) -> tuple[Point, ...]:
+def _rows_of(values: Array) -> tuple[Point, ...]:
     return tuple(tuple(line) for line in values.tolist())
 
 
@@ -615,13 +603,10 @@ def _uncalibrated(
         capture = replace(capture, depth_m=capture.depth_m * np.float32(site.depth_divisor))
         if site.lens is not None:
             capture = replace(capture, intrinsics=site.camera.intrinsics.intrinsics)
-    masks = [
-        decode_rle(view.mask, capture.height, capture.width)
-        for view in views
-        if view.capture == record.name
-        if view.mask is not None and view.mask_source == MaskSource.DATASET
-    ]
-    return replace(capture, masks=tuple(masks))
+    own = (view for view in views if view.capture == record.name)
+    fruit = (instance_of(view, capture.depth_m.shape) for view in own)
+    masks = (x.mask for x in fruit if x.mask_source is MaskSource.DATASET)
+    return replace(capture, masks=tuple(mask for mask in masks if mask is not None))
 
 
 def _save_again(

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cache
+from itertools import groupby
 from statistics import median
 
 from cucumbervision.methods.result import LengthDefinition
@@ -76,85 +76,47 @@ class FruitChange:
         return (last.value_m - first.value_m) / self.days
 
 
-@dataclass(frozen=True)
-class ChangeCounts:
-    """How many fruit changed and how, in a row or a house.
-
-    `before` = `picked` + `gone` + `stayed`, and `after` = `stayed` + `new`: fruit where one of the
-    two rounds did not go are in none of them.
-
-    Parameters
-    ----------
-    before, after : int
-        Fruit on the plant at the earlier and at the later round.
-    picked, gone, stayed, new : int
-        As `Change` names them.
-    returned : int
-        Fruit among `stayed` that were ticked off as picked.
-    not_walked : int
-        Fruit of either round where the other one did not go.
-    growth_m_per_day : float, optional
-        Median growth of the fruit that stayed.
-    """
-
-    before: int
-    picked: int
-    gone: int
-    stayed: int
-    new: int
-    after: int
-    returned: int
-    not_walked: int
-    growth_m_per_day: float | None
-
-
 @dataclass(frozen=True, eq=False)
 class DayComparison:
-    """Two rounds of a house, fruit by fruit.
+    """Two rounds of a house or of one row, fruit by fruit.
 
     Parameters
     ----------
-    days : float
-        Time between them, days.
     changes : tuple of FruitChange
         Every fruit of either round, by row and position.
     """
 
-    days: float
     changes: tuple[FruitChange, ...]
 
     def of(self, change: Change) -> tuple[FruitChange, ...]:
         """Return the fruit with a change."""
         return tuple(fruit for fruit in self.changes if fruit.change is change)
 
-    def counts(self) -> ChangeCounts:
-        """Return the numbers of the house."""
-        return _counts(self.changes)
+    def number(self, *changes: Change) -> int:
+        """Return how many fruit have one of these changes."""
+        return sum(fruit.change in changes for fruit in self.changes)
 
-    def by_row(self) -> dict[str, ChangeCounts]:
-        """Return the numbers of each row, in the natural order of their names."""
-        rows: dict[str, list[FruitChange]] = {}
-        for fruit in self.changes:
-            rows.setdefault(fruit.row, []).append(fruit)
-        return {row: _counts(rows[row]) for row in sorted(rows, key=natural_key)}
+    @property
+    def before(self) -> int:
+        """Fruit on the plant at the earlier round, where both rounds went."""
+        return self.number(Change.PICKED, Change.GONE, Change.STAYED)
 
+    @property
+    def after(self) -> int:
+        """Fruit on the plant at the later round, where both rounds went."""
+        return self.number(Change.STAYED, Change.NEW)
 
-def _counts(changes: Sequence[FruitChange]) -> ChangeCounts:
-    number = Counter(fruit.change for fruit in changes)
-    picked, gone, stayed = (number[c] for c in (Change.PICKED, Change.GONE, Change.STAYED))
-    growths = [fruit.growth_m_per_day for fruit in changes]
-    known_growths = [growth for growth in growths if growth is not None]
-    return ChangeCounts(
-        before=picked + gone + stayed,
-        picked=picked,
-        gone=gone,
-        stayed=stayed,
-        new=number[Change.NEW],
-        after=stayed + number[Change.NEW],
-        returned=sum(fruit.is_back for fruit in changes),
-        not_walked=number[Change.NOT_WALKED],
-        growth_m_per_day=median(known_growths) if known_growths else None,
-    )
+    @property
+    def growth_m_per_day(self) -> float | None:
+        """Median growth of the fruit that stayed, metres a day."""
+        growths = [fruit.growth_m_per_day for fruit in self.changes]
+        known_growths = [growth for growth in growths if growth is not None]
+        return median(known_growths) if known_growths else None
+
+    def by_row(self) -> dict[str, DayComparison]:
+        """Return the fruit of each row, in the natural order of their names."""
+        rows = groupby(self.changes, key=lambda fruit: fruit.row)  # they are sorted by row
+        return {row: DayComparison(tuple(of_row)) for row, of_row in rows}
 
 
 def compare_rounds(
@@ -194,13 +156,13 @@ def compare_rounds(
         else:
             change = Change.GONE if _is_walked(view, walked_after) else Change.NOT_WALKED
         changes.append(FruitChange(change, view, None, days))
-    return DayComparison(days, tuple(sorted(changes, key=_place)))
+    return DayComparison(tuple(sorted(changes, key=_place)))
 
 
 def _place(fruit: FruitChange) -> tuple[object, ...]:
     view = fruit.after or fruit.before
     along_m = None if view is None else view.along_m
-    return (natural_key(fruit.row), along_m is None, along_m or 0.0)
+    return (natural_key(fruit.row), fruit.row, along_m is None, along_m or 0.0)
 
 
 _Walked = dict[tuple[str, str], list[float | None]]
@@ -210,8 +172,7 @@ def _walked(stops: Iterable[StopRecord]) -> _Walked:
     """Return where each side of each row was walked, metres; None where that is not known."""
     positions_m: _Walked = {}
     for stop in stops:
-        at_m = stop.position_m if stop.fitted_m is None else stop.fitted_m
-        positions_m.setdefault((stop.row or "", stop.side or ""), []).append(at_m)
+        positions_m.setdefault((stop.row or "", stop.side or ""), []).append(stop.at_m)
     return positions_m
 
 

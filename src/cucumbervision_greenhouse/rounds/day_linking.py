@@ -143,9 +143,8 @@ def _knots(along: Floats) -> Floats:
 
 def _near(a: Floats, b: Floats, gate_m: float) -> tuple[Ints, Ints]:
     i, j = pairs_within(np.concatenate([a, b]), gate_m)
-    lower, upper = np.minimum(i, j), np.maximum(i, j)
-    between = (lower < len(a)) & (upper >= len(a))
-    return lower[between], upper[between] - len(a)
+    between = (i < len(a)) & (j >= len(a))
+    return i[between], j[between] - len(a)
 
 
 def _grown(earlier: RowFruit, later: RowFruit, i: Ints, j: Ints) -> tuple[Floats, Floats, float]:

@@ -6,9 +6,8 @@ import datetime
 import math
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from enum import StrEnum
-from itertools import groupby
 
 from cucumbervision.crop.grades import UNDECIDED, WITHOUT_CLASS, Grade, GradeStatus, class_of, grade
 from cucumbervision.crop.profiles import CropProfile
@@ -17,7 +16,6 @@ from cucumbervision.methods.intervals import SCALE_SD
 from cucumbervision.methods.result import UNKNOWN_SD, Length
 from cucumbervision_greenhouse.forecast.forecast import Forecast, forecast
 from cucumbervision_greenhouse.forecast.growth import FruitState, GrowthPrior, Point, fit_growth
-from cucumbervision_greenhouse.forecast.picking import Pick, pick_list
 from cucumbervision_greenhouse.rounds.day_comparison import linked_rounds
 from cucumbervision_greenhouse.rounds.fruit_table import RoundContent, fruit_table, read_round
 from cucumbervision_greenhouse.rounds.merge_and_link import DAY_S
@@ -173,28 +171,6 @@ class Age(StrEnum):
     USELESS = "useless"  # its fruit are picked by now, or far too long
 
 
-@dataclass(frozen=True, eq=False)
-class Today:
-    """A round today.
-
-    Parameters
-    ----------
-    age_days : int
-        Days of the calendar since it was walked.
-    age : Age
-        What it is worth by that.
-    forecast : Forecast, optional
-        Of today alone, with the fruit that were picked today; None where the round is too old.
-    rows : mapping of str to list of Pick
-        What is to be picked by row, in the order of the walk; fruit picked today are still in it.
-    """
-
-    age_days: int
-    age: Age
-    forecast: Forecast | None
-    rows: Mapping[str, Sequence[Pick]]
-
-
 def midnight_s(now_s: float) -> float:
     """Return the local midnight before a time, seconds since 1970."""
     # Without a zone: midnight may have had another offset, on the day that summer time begins.
@@ -233,8 +209,16 @@ def forecast_today(
 
     Parameters
     ----------
-    store, round_summary, profile, now_s, content
-        As `read_today` takes them.
+    store : Store
+        Where the round is.
+    round_summary : Round
+        The round.
+    profile : CropProfile
+        Its classes, and the growth that is expected.
+    now_s : float
+        Now, seconds since 1970.
+    content : RoundContent, optional
+        What `fruit_table.read_round` returned for the round, where it was read already.
     days : int
         Days ahead; 0 for today alone.
     """
@@ -269,33 +253,3 @@ def day_0_s(round_summary: Round, now_s: float) -> float:
 def date_after(at_s: float, days: int) -> datetime.date:
     """Return the local date some days after a moment; a day may have 23 or 25 hours."""
     return datetime.date.fromtimestamp(at_s) + datetime.timedelta(days)
-
-
-def read_today(
-    store: Store,
-    round_summary: Round,
-    profile: CropProfile,
-    now_s: float,
-    content: RoundContent | None = None,
-) -> Today:
-    """Return today's figures of a round.
-
-    Parameters
-    ----------
-    store : Store
-        Where it is.
-    round_summary : Round
-        The round.
-    profile : CropProfile
-        Its classes, and the growth that is expected.
-    now_s : float
-        Now, seconds since 1970.
-    content : RoundContent, optional
-        What `fruit_table.read_round` gave of the round, where it was read already.
-    """
-    days, age = age_of(round_summary.walked_s, now_s)
-    if age is Age.USELESS:
-        return Today(days, age, None, {})
-    result = forecast_today(store, round_summary, profile, now_s, content, days=0)
-    by_row = groupby(pick_list(result), key=lambda pick: pick.fruit.row)
-    return Today(days, age, result, {row: list(picks) for row, picks in by_row})

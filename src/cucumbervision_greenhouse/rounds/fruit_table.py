@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -11,7 +10,6 @@ from statistics import fmean, stdev
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cucumbervision.errors import RoundError
 from cucumbervision.methods.matching import ALONG, DEPTH, UP, pooled_length
@@ -20,8 +18,8 @@ from cucumbervision.methods.table import AVAILABLE
 from cucumbervision.run.fields import Cell, table_row
 from cucumbervision.run.tables import Summary
 from cucumbervision_greenhouse.forecast.forecast import natural_key
-from cucumbervision_greenhouse.rounds.poses import MIDDLE_SD_M, offset_of, stored_pose
 from cucumbervision_greenhouse.rounds.row_views import Ints, RowStops, RowViews
+from cucumbervision_greenhouse.rounds.walking import MIDDLE_SD_M, offset_of, stored_pose
 from cucumbervision_greenhouse.store.records import FruitRow, Round, StopRecord, Verdict
 from cucumbervision_greenhouse.store.repository import Store
 
@@ -142,17 +140,12 @@ def _load_rows(content: RoundContent) -> Iterator[StoredRow]:
     RoundError
         If a row has more than two sides.
     """
-    stops: dict[str, list[StopRecord]] = defaultdict(list)
-    for stop in content.stops:
-        stops[stop.row or ""].append(stop)
-    views: dict[str, list[FruitRow]] = defaultdict(list)
     keys = {stop.key for stop in content.stops}
-    for view in content.views:
-        # A stop may be saved meanwhile.
-        if view.verdict is not Verdict.REJECTED and view.stop_key in keys:
-            views[view.row or ""].append(view)
-    for name in sorted(stops):
-        yield _row(name, stops[name], views[name])
+    counted = (view for view in content.views if view.verdict is not Verdict.REJECTED)
+    views = [view for view in counted if view.stop_key in keys]  # a stop may be saved meanwhile
+    for name in sorted({stop.row or "" for stop in content.stops}):
+        stops = [stop for stop in content.stops if (stop.row or "") == name]
+        yield _row(name, stops, [view for view in views if (view.row or "") == name])
 
 
 def _reach(camera: Mapping[str, Any]) -> float:
@@ -170,55 +163,42 @@ def _row(name: str, stops: Sequence[StopRecord], fruit: Sequence[FruitRow]) -> S
             count=len(sides),
             sides=", ".join(sides),
         )
-    placed = [stop for stop in stops if stop.position_m is not None]
-    index = {stop.key: k for k, stop in enumerate(placed)}
+    taken = [stop for stop in stops if stop.position_m is not None]
+    index = {stop.key: k for k, stop in enumerate(taken)}
     poses = {stop.key: stored_pose(stop.pose_now, stop.side) for stop in stops}
     offsets = [(view, offset_of(view, poses[view.stop_key])) for view in fruit]
-    places = [
-        (view, place) for view, place in offsets if view.stop_key in index and place is not None
-    ]
+    places = [(view, at) for view, at in offsets if view.stop_key in index and at is not None]
     # A stop's pose gives the camera's height.
-    at_m, sd_m = np.zeros((len(placed), 3)), np.full((len(placed), 3), _CAMERA_SD_M)
-    at_m[:, ALONG] = [stop.position_m or 0.0 for stop in placed]
-    at_m[:, UP] = [poses[stop.key][UP, 3] for stop in placed]
-    sd_m[:, ALONG] = [stop.position_sd_m or MIDDLE_SD_M for stop in placed]
-    side = np.array([sides.index(stop.side or "") for stop in placed], np.int64)
-    return StoredRow(
-        name=name,
-        stops=RowStops(at_m, sd_m, side, np.array([_reach(x.camera) for x in placed], np.float64)),
-        views=_row_views(places, index, side),
-        taken=tuple(placed),
-        fruit=tuple(view for view, _ in places),
-        sides=sides,
-        unplaced=len(fruit) - len(places),
-    )
-
-
-def _row_views(
-    places: Sequence[tuple[FruitRow, tuple[NDArray[np.float64], NDArray[np.float64]]]],
-    index: Mapping[str, int],
-    side: Ints,
-) -> RowViews:
-    """Return views with their offsets as arrays; `index` and `side` are of the row's stops."""
+    at_m, sd_m = np.zeros((len(taken), 3)), np.full((len(taken), 3), _CAMERA_SD_M)
+    at_m[:, ALONG] = [stop.position_m or 0.0 for stop in taken]
+    at_m[:, UP] = [poses[stop.key][UP, 3] for stop in taken]
+    sd_m[:, ALONG] = [stop.position_sd_m or MIDDLE_SD_M for stop in taken]
+    side = np.array([sides.index(stop.side or "") for stop in taken], np.int64)
     views = [view for view, _ in places]
     at_stop = np.array([index[view.stop_key] for view in views], np.int64)
     captures = {place: k for k, place in enumerate({(v.stop_key, v.capture): 0 for v in views})}
-    offset, offset_sd = (
-        np.array([place for _, place in places], np.float64).reshape(-1, 2, 3).transpose(1, 0, 2)
-    )
-    offset[:, DEPTH] *= np.where(side[at_stop] == 1, -1.0, 1.0)
+    offset_m = np.array([at for _, at in places], np.float64).reshape(-1, 2, 3)
+    offset_m[:, 0, DEPTH] *= np.where(side[at_stop] == 1, -1.0, 1.0)
     length = np.array([_length(view) for view in views], np.float64).reshape(-1, 2)
-    return RowViews(
-        stop=at_stop,
-        capture=np.array([captures[v.stop_key, v.capture] for v in views], np.int64),
-        offset_m=offset,
-        offset_sd_m=offset_sd,
-        length_m=length[:, 0],
-        length_sd=length[:, 1],
-        diameter_m=np.array([view.diameter_max_m or np.nan for view in views], np.float64),
-        diameter_sd=np.full(len(views), _DIAMETER_SD),
-        partial=np.array([view.partial for view in views], bool),
-        view_score=np.array([view.view_score for view in views], np.float64),
+    return StoredRow(
+        name=name,
+        stops=RowStops(at_m, sd_m, side, np.array([_reach(x.camera) for x in taken], np.float64)),
+        views=RowViews(
+            stop=at_stop,
+            capture=np.array([captures[v.stop_key, v.capture] for v in views], np.int64),
+            offset_m=offset_m[:, 0],
+            offset_sd_m=offset_m[:, 1],
+            length_m=length[:, 0],
+            length_sd=length[:, 1],
+            diameter_m=np.array([view.diameter_max_m or np.nan for view in views], np.float64),
+            diameter_sd=np.full(len(views), _DIAMETER_SD),
+            partial=np.array([view.partial for view in views], bool),
+            view_score=np.array([view.view_score for view in views], np.float64),
+        ),
+        taken=tuple(taken),
+        fruit=tuple(views),
+        sides=sides,
+        unplaced=len(fruit) - len(places),
     )
 
 
@@ -243,31 +223,6 @@ def stored_merging(row: StoredRow) -> tuple[Ints, RowStops]:
     return cluster, replace(row.stops, at_m=at_m, sd_m=sd_m)
 
 
-@dataclass(frozen=True)
-class RoundFigures:
-    """The figures of a round, the same on all pages and in all files, without deleted fruit.
-
-    Parameters
-    ----------
-    fruit, measured, picked : int
-        Fruit, each once; those with a length; and those that were picked.
-    detections : int
-        Number of their detections.
-    mean_m, sd_m, shortest_m, longest_m : float, optional
-        Of the lengths of the fruit on the plant, metres; lower bounds and lengths of which
-        nothing is known are left out.
-    """
-
-    fruit: int
-    measured: int
-    picked: int
-    detections: int
-    mean_m: float | None
-    sd_m: float | None
-    shortest_m: float | None
-    longest_m: float | None
-
-
 def on_the_plant(fruit: Iterable[FruitRow]) -> list[FruitRow]:
     """Return the fruit that count today: neither deleted, picked nor doubtful."""
     return [
@@ -283,19 +238,34 @@ def hanging_lengths_m(fruit: Iterable[FruitRow]) -> list[float]:
     return [length.value_m for length in lengths if length is not None]
 
 
-def round_figures(content: RoundContent, table: Sequence[FruitRow]) -> RoundFigures:
-    """Return the figures of a round from its content and its `fruit_table`."""
-    lengths_m = hanging_lengths_m(line for line in table)
-    return RoundFigures(
-        fruit=len(table),
-        measured=sum(line.length_m is not None for line in table),
-        picked=sum(line.picked_s is not None for line in table),
-        detections=sum(view.verdict is not Verdict.REJECTED for view in content.views),
-        mean_m=fmean(lengths_m) if lengths_m else None,
-        sd_m=stdev(lengths_m) if len(lengths_m) > 1 else None,
-        shortest_m=min(lengths_m, default=None),
-        longest_m=max(lengths_m, default=None),
-    )
+def round_figures(content: RoundContent, table: Sequence[FruitRow]) -> dict[str, Any]:
+    """Return the figures of a round, the same on all pages and in all files.
+
+    Parameters
+    ----------
+    content : RoundContent
+        The round.
+    table : sequence of FruitRow
+        Its `fruit_table`, without rejected fruit.
+
+    Returns
+    -------
+    dict
+        'fruit', 'measured' and 'picked': fruit, those with a length, and those that were picked;
+        'detections'; 'mean_m', 'sd_m', 'shortest_m' and 'longest_m' of the lengths of the fruit on
+        the plant that count, None without any.
+    """
+    lengths_m = hanging_lengths_m(table)
+    return {
+        "fruit": len(table),
+        "measured": sum(line.length_m is not None for line in table),
+        "picked": sum(line.picked_s is not None for line in table),
+        "detections": sum(view.verdict is not Verdict.REJECTED for view in content.views),
+        "mean_m": fmean(lengths_m) if lengths_m else None,
+        "sd_m": stdev(lengths_m) if len(lengths_m) > 1 else None,
+        "shortest_m": min(lengths_m, default=None),
+        "longest_m": max(lengths_m, default=None),
+    }
 
 
 def along_rows(view: FruitRow) -> tuple[object, ...]:

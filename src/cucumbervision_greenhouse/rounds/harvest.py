@@ -21,7 +21,7 @@ from cucumbervision_greenhouse.forecast.picking import Span
 from cucumbervision_greenhouse.rounds.forecasting import forecast_today, midnight_s
 from cucumbervision_greenhouse.rounds.fruit_table import fruit_table, read_round
 from cucumbervision_greenhouse.rounds.merge_and_link import rounds_of_house
-from cucumbervision_greenhouse.rounds.poses import csv_lines
+from cucumbervision_greenhouse.rounds.walking import csv_lines
 from cucumbervision_greenhouse.store.records import FruitRow, Round
 from cucumbervision_greenhouse.store.repository import Store
 

@@ -9,17 +9,8 @@ from itertools import combinations
 import numpy as np
 
 from cucumbervision.methods.matching import ALONG, DEPTH, Crowd, position_ratio
-from cucumbervision_greenhouse.rounds.row_views import (
-    Floats,
-    Ints,
-    RowStops,
-    RowViews,
-    crowd_of,
-    fit_stops,
-    pairs_within,
-    shape_ratio,
-    vote_pairs,
-)
+from cucumbervision_greenhouse.rounds import row_views
+from cucumbervision_greenhouse.rounds.row_views import Floats, Ints, RowStops, RowViews
 
 _LEAST_RATIO = -8.0  # log likelihood ratio of a pair that is no candidate
 
@@ -204,17 +195,17 @@ def merge_row(stops: RowStops, views: RowViews) -> Merged:
     if not len(views):
         nothing = np.zeros(0)
         return Merged(nothing.astype(np.int64), stops, np.zeros((0, 2), np.int64), nothing)
-    crowd = crowd_of(views, _views_per_m(stops, views))
+    crowd = row_views.crowd_of(views, _views_per_m(stops, views))
     i, j = _candidates(stops, views)
     one_side = stops.side[views.stop[i]] == stops.side[views.stop[j]]
     first, second = i[one_side], j[one_side]
     apart = views.stop[first] != views.stop[second]
-    voted = vote_pairs(stops, views, first[apart], second[apart], crowd)
+    voted = row_views.vote_pairs(stops, views, first[apart], second[apart], crowd)
     mirrored = _mirrored(stops, views, crowd)
-    fitted = fit_stops(stops, views, voted[0], voted[1], np.full(len(voted[0]), 0.8))
+    fitted = row_views.fit_stops(stops, views, voted[0], voted[1], np.full(len(voted[0]), 0.8))
     if len(np.unique(stops.side)) > 1:
         stops = _set_across(stops, _vote_across(fitted, views, crowd))
-        fitted = fit_stops(stops, views, voted[0], voted[1], np.full(len(voted[0]), 0.8))
+        fitted = row_views.fit_stops(stops, views, voted[0], voted[1], np.full(len(voted[0]), 0.8))
     cluster: Ints = np.arange(len(views))
     for _ in range(_PASSES):
         i, j, ratio = _rated(fitted, views, crowd)
@@ -222,19 +213,13 @@ def merge_row(stops: RowStops, views: RowViews) -> Merged:
         cluster = sweep(views, i, j, ratio, join_clusters(views, i, j, ratio, cluster))
         a, b = cluster_pairs(cluster)
         m = np.bincount(cluster, minlength=len(views))[cluster[a]]
-        fitted = fit_stops(stops, views, a, b, 2.0 / np.maximum(m, 1))
+        fitted = row_views.fit_stops(stops, views, a, b, 2.0 / np.maximum(m, 1))
     i, j, ratio = _rated(fitted, views, crowd)
     cluster = join_clusters(views, i, j, ratio, sweep(views, i, j, ratio, cluster))
     along = fitted.at_m[views.stop, ALONG] + views.offset_m[:, ALONG]
     numbers = _numbered(cluster, along)
     pairs = np.column_stack(cluster_pairs(numbers))
-    return Merged(
-        cluster=numbers,
-        stops=fitted,
-        pairs=pairs,
-        probability=_chance(pairs, i, j, ratio),
-        mirrored=mirrored,
-    )
+    return Merged(numbers, fitted, pairs, _chance(pairs, i, j, ratio), mirrored)
 
 
 def _views_per_m(stops: RowStops, views: RowViews) -> float:
@@ -249,7 +234,7 @@ def _candidates(stops: RowStops, views: RowViews) -> tuple[Ints, Ints]:
     """Return pairs of views of different captures that may be one fruit, by their place alone."""
     along = stops.at_m[views.stop, ALONG] + views.offset_m[:, ALONG]
     place_sd_m = np.hypot(stops.sd_m[views.stop, ALONG], views.offset_sd_m[:, ALONG])
-    i, j = pairs_within(along, _GATE_SD * np.sqrt(2) * place_sd_m)
+    i, j = row_views.pairs_within(along, _GATE_SD * np.sqrt(2) * place_sd_m)
     different_capture = views.capture[i] != views.capture[j]
     return i[different_capture], j[different_capture]
 
@@ -265,11 +250,8 @@ def _gaps(stops: RowStops, views: RowViews, i: Ints, j: Ints) -> tuple[Floats, F
 def _rated(stops: RowStops, views: RowViews, crowd: Crowd) -> tuple[Ints, Ints, Floats]:
     """Return the candidates and their log likelihood ratios."""
     i, j = _candidates(stops, views)
-    i, j = np.minimum(i, j), np.maximum(i, j)
-    order = np.lexsort((j, i))
-    i, j = i[order], j[order]
     gap, variance = _gaps(stops, views, i, j)
-    ratio = position_ratio(gap, variance, crowd) + shape_ratio(views, i, j, crowd)
+    ratio = position_ratio(gap, variance, crowd) + row_views.shape_ratio(views, i, j, crowd)
     across = stops.side[views.stop[i]] != stops.side[views.stop[j]]
     return i, j, ratio + np.log(np.where(across, _SEEN_ACROSS, _SEEN_AGAIN))
 
@@ -282,7 +264,7 @@ def _vote_across(stops: RowStops, views: RowViews, crowd: Crowd) -> tuple[float,
     gap, variance = _gaps(stops, views, i, j)
     distance_m = np.abs(gap[:, DEPTH])
     gap, depth_variance = gap * [1.0, 1.0, 0.0], variance[:, DEPTH]
-    ratio = position_ratio(gap, variance, crowd) + shape_ratio(views, i, j, crowd)
+    ratio = position_ratio(gap, variance, crowd) + row_views.shape_ratio(views, i, j, crowd)
     tried = _ACROSS_M + _ACROSS_SD_M * np.linspace(-3, 3, 121)
     fit = -0.5 * (distance_m[:, None] - tried) ** 2 / depth_variance[:, None]
     score = np.log1p(np.exp(np.minimum(ratio[:, None] + fit, 20.0))).sum(axis=0)
@@ -311,7 +293,7 @@ def _mirrored(stops: RowStops, views: RowViews, crowd: Crowd) -> tuple[int, ...]
             i, j = _candidates(stops, turned)
             s, t = views.stop[i], views.stop[j]
             of_side = (stops.side[s] == side) & (stops.side[t] == side) & (s != t)
-            support.append(vote_pairs(stops, turned, i[of_side], j[of_side], crowd)[2])
+            support.append(row_views.vote_pairs(stops, turned, i[of_side], j[of_side], crowd)[2])
         if support[1] > 2 * max(support[0], 0.0) + 20:
             sides.append(int(side))
     return tuple(sides)
@@ -319,11 +301,9 @@ def _mirrored(stops: RowStops, views: RowViews, crowd: Crowd) -> tuple[int, ...]
 
 def _numbered(cluster: Ints, along: Floats) -> Ints:
     """Return the clusters numbered along the row, from 0."""
-    names, name_index = np.unique(cluster, return_inverse=True)
+    _, name_index = np.unique(cluster, return_inverse=True)
     middle = np.bincount(name_index, along) / np.bincount(name_index)
-    rank = np.empty(len(names), np.int64)
-    rank[np.argsort(middle, kind="stable")] = np.arange(len(names))
-    return rank[name_index]
+    return np.argsort(np.argsort(middle, kind="stable"))[name_index]
 
 
 def _chance(pairs: Ints, i: Ints, j: Ints, ratio: Floats) -> Floats:

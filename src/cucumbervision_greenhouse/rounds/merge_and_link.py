@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
-from functools import lru_cache
+from dataclasses import asdict, replace
 from statistics import fmean
+from typing import Any
 
 import numpy as np
 
@@ -19,69 +19,14 @@ from cucumbervision.names import house_key
 from cucumbervision_greenhouse.rounds import fruit_table
 from cucumbervision_greenhouse.rounds.day_linking import link_days
 from cucumbervision_greenhouse.rounds.merge import merge_row
-from cucumbervision_greenhouse.rounds.poses import sign_of_side
 from cucumbervision_greenhouse.rounds.row_views import row_fruit
-from cucumbervision_greenhouse.rounds.walking import is_demonstration, refuse_taken
+from cucumbervision_greenhouse.rounds.walking import is_demonstration, refuse_taken, sign_of_side
 from cucumbervision_greenhouse.store.marks import MOVE_ROUND, STOP_EDITS
 from cucumbervision_greenhouse.store.records import SURE, LinkKind, LinkRecord, Round, StopRecord
 from cucumbervision_greenhouse.store.repository import Store
 from cucumbervision_greenhouse.store.waiting import WaitingCaptures
 
 DAY_S = 86400.0
-
-
-@dataclass(frozen=True)
-class RowCounts:
-    """One row of a round as it was merged last.
-
-    Parameters
-    ----------
-    row : str
-        The row.
-    stops, views : int
-        Stops with a position, and detections.
-    fruit : int
-        The fruit that these are merged into, those included that have no place.
-    merged : bool
-        Whether the row has been merged.
-    stop_sd_m : float, optional
-        How well the stops are known now, on average, metres.
-    unplaced : int
-        Detections that could not take part: without a position or without depth.
-    """
-
-    row: str
-    stops: int
-    views: int
-    fruit: int
-    merged: bool = True
-    stop_sd_m: float | None = None
-    unplaced: int = 0
-
-
-@dataclass(frozen=True)
-class RowLinks:
-    """The result of linking one row between two rounds.
-
-    Parameters
-    ----------
-    row : str
-        The row.
-    earlier, later : int
-        Fruit of both rounds.
-    links, sure : int
-        Pairs likelier than not, and those that are sure; the others are offered to be confirmed.
-    shift_m, shift_sd_m : float
-        How far the row was moved along, metres; the median of its stretches.
-    """
-
-    row: str
-    earlier: int
-    later: int
-    links: int
-    sure: int
-    shift_m: float
-    shift_sd_m: float
 
 
 def merge_round(store: Store, round_key: str) -> dict[str, list[str]]:
@@ -121,29 +66,29 @@ def merge_round(store: Store, round_key: str) -> dict[str, list[str]]:
     return mirrored
 
 
-@lru_cache(maxsize=fruit_table.CONTENTS)  # today's list, the forecast and the map ask for the same
-def row_counts(content: fruit_table.RoundContent) -> tuple[RowCounts, ...]:
-    """Return the rows of a round as they were merged last, what was done by hand included."""
+def row_counts(content: fruit_table.RoundContent) -> list[dict[str, Any]]:
+    """Return a line for each row of a round as it was merged last, links by hand included.
+
+    Each has 'row', 'stops' (with a position), 'views', 'fruit' (those without a place included),
+    'stop_sd_m' (how well the stops are known now, on average, metres; None without any), and
+    'unplaced': views without a position or depth, which were not merged.
+    """
     fruit = Counter(view.row or "" for view in fruit_table.counted_fruit(content.views))
-    return tuple(
-        RowCounts(
-            row=row.name,
-            stops=len(row.stops),
-            views=len(row.views),
-            fruit=fruit[row.name],
-            merged=any(stop.fitted_m is not None for stop in row.taken),
-            stop_sd_m=fmean(fruit_table.stored_merging(row)[1].sd_m[:, ALONG])
+    return [
+        {
+            **{"row": row.name, "stops": len(row.stops), "views": len(row.views)},
+            **{"fruit": fruit[row.name], "unplaced": row.unplaced},
+            "stop_sd_m": fmean(fruit_table.stored_merging(row)[1].sd_m[:, ALONG])
             if row.taken
             else None,
-            unplaced=row.unplaced,
-        )
+        }
         for row in content.rows
-    )
+    ]
 
 
 def link_rounds(
     store: Store, earlier: str, later: str, profile: CropProfile | None = None
-) -> list[RowLinks]:
+) -> list[dict[str, Any]]:
     """Link the fruit of two merged rounds and save the links.
 
     Parameters
@@ -155,12 +100,20 @@ def link_rounds(
     profile : CropProfile, optional
         Whose growth is expected; 3 cm a day, give or take 1, without.
 
+    Returns
+    -------
+    list of dict
+        A line for each row: 'row', the fruit of both rounds as 'earlier' and 'later', 'links'
+        (pairs likelier than not), 'sure' (those that are sure; people are asked about the others),
+        and how far the row was moved along, 'shift_m' and 'shift_sd_m', medians of its stretches.
+
     Raises
     ------
     RoundError
         If one of them is not there, they are of two houses, or the later does not come later.
     """
-    first, second = (_round_of(store.rounds(), key) for key in (earlier, later))
+    rounds = store.rounds()
+    first, second = (_round_of(rounds, key) for key in (earlier, later))
     if house_key(first.house) != house_key(second.house):
         raise RoundError(
             "the rounds are of two houses, '{first}' and '{second}'",
@@ -179,31 +132,29 @@ def link_rounds(
         prior = profile.growth
         sd_m = math.hypot(prior.house_sd, prior.row_sd, prior.fruit_sd) / 100
         growth = prior.mean / 100, sd_m
-    contents = fruit_table.read_round(store, earlier), fruit_table.read_round(store, later)
-    rows_before = {row.name: row for row in contents[0].rows if len(row.views)}
-    links, row_links = [], []
-    for row in contents[1].rows:
+    rows_before = {row.name: row for row in fruit_table.read_round(store, earlier).rows}
+    links, lines = [], list[dict[str, Any]]()
+    for row in fruit_table.read_round(store, later).rows:
         before = rows_before.get(row.name)
-        if before is None or not len(row.views):
+        if before is None or not (len(before.views) and len(row.views)):
             continue
         fruit = [row_fruit(*fruit_table.stored_merging(day), day.views) for day in (before, row)]
         linked = link_days(fruit[0], fruit[1], days, *growth)
         for (a, b), chance in zip(linked.pairs.tolist(), linked.probability.tolist(), strict=True):
             keys = before.fruit[fruit[0].best[a]].key, row.fruit[fruit[1].best[b]].key
             links.append(LinkRecord(LinkKind.GROWTH, *keys, chance))
-        shift = float(np.median(linked.shift_m[:, ALONG]))
-        sd = float(np.median(linked.shift_sd_m[:, ALONG]))
-        sizes = (
-            len(fruit[0]),
-            len(fruit[1]),
-            len(linked.pairs),
-            int((linked.probability >= SURE).sum()),
+        shifts = {"shift_m": linked.shift_m, "shift_sd_m": linked.shift_sd_m}
+        lines.append(
+            {
+                **{"row": row.name, "earlier": len(fruit[0]), "later": len(fruit[1])},
+                **{"links": len(linked.pairs), "sure": sum(linked.probability >= SURE)},
+                **{name: float(np.median(x[:, ALONG])) for name, x in shifts.items()},
+            }
         )
-        row_links.append(RowLinks(row.name, *sizes, shift, sd))
     store.save_growth(earlier, later, links)
     # As they were linked before the captures of that day were added.
     store.save_growth(later, earlier, ())
-    return row_links
+    return lines
 
 
 _SAME_DAY_S = DAY_S / 4  # rounds closer in time show the fruit of one day
@@ -229,14 +180,16 @@ def settle(store: Store, round_key: str, profile: CropProfile | None = None) -> 
     """
     try:
         merge_round(store, round_key)
-        before = earlier_rounds(store, round_key, within_s=_FARTHEST_S)[:1]
-        after = later_rounds(store, round_key)[:1]
-        for earlier in before:
-            link_rounds(store, earlier.key, round_key, profile)
-        for later in after:
-            link_rounds(store, round_key, later.key, profile)
-            for earlier in before:  # they were neighbours before this round was added
-                store.save_growth(earlier.key, later.key, ())
+        rounds = store.rounds()
+        oldest_s = _round_of(rounds, round_key).walked_s - _FARTHEST_S
+        earlier, later = (found[:1] for found in _neighbours(rounds, round_key))
+        before = [x.key for x in earlier if x.walked_s > oldest_s]
+        for key in before:
+            link_rounds(store, key, round_key, profile)
+        for after in later:
+            link_rounds(store, round_key, after.key, profile)
+            for key in before:  # they were neighbours before this round was added
+                store.save_growth(key, after.key, ())
     except (RoundError, StoreError) as error:  # a round or fruit may have been deleted meanwhile
         return str(error)
     return ""
@@ -285,9 +238,9 @@ def delete_round(store: Store, round_key: str, waiting: WaitingCaptures) -> list
         fault = "{count} captures wait to be measured into it"
         fault = "1 capture waits to be measured into it" if waits == 1 else fault
         raise RoundError(fault, remedy="delete it afterwards", count=waits)
-    after = later_rounds(store, round_key)[:1]
+    _, after = _neighbours(store.rounds(), round_key)
     store.delete_round(round_key)
-    return [later.key for later in after]  # its fruit are those of the round before now
+    return [later.key for later in after[:1]]  # its fruit are those of the round before now
 
 
 def move_rounds(
@@ -331,41 +284,38 @@ def undo(store: Store, round_key: str | None = None, *, number: int | None = Non
 def _to_settle(keys: Sequence[str], before: list[Round], after: list[Round]) -> list[str]:
     """Return rounds that moved, with those that follow on them, before and after they did."""
     following = [
-        later.key for rounds in (before, after) for key in keys for later in _later(rounds, key)[:1]
+        later.key
+        for rounds in (before, after)
+        for key in keys
+        for later in _neighbours(rounds, key)[1][:1]
     ]
     return list(dict.fromkeys([*keys, *following]))
 
 
-def earlier_rounds(store: Store, round_key: str, within_s: float = math.inf) -> list[Round]:
+def earlier_rounds(store: Store, round_key: str) -> list[Round]:
     """Return the rounds of the same house of earlier days, the nearest first.
 
     Days are those of the captures (`Round.walked_s`), whenever a round was begun.
-
-    Parameters
-    ----------
-    store : Store
-        Where the rounds are.
-    round_key : str
-        A round.
-    within_s : float
-        Longest time before that round, seconds.
     """
-    return [x for days_s, x in _neighbours(store.rounds(), round_key) if 0 < -days_s < within_s]
+    return _neighbours(store.rounds(), round_key)[0]
 
 
-def later_rounds(store: Store, round_key: str) -> list[Round]:
-    """Return the rounds of the same house of later days, the nearest first."""
-    return _later(store.rounds(), round_key)
+def _neighbours(rounds: list[Round], round_key: str) -> tuple[list[Round], list[Round]]:
+    """Return the rounds of a house with fruit on earlier days and on later ones, nearest first.
 
-
-def _later(rounds: list[Round], round_key: str) -> list[Round]:
-    return [x for days_s, x in _neighbours(rounds, round_key) if 0 < days_s < _FARTHEST_S]
+    Later rounds that are so far off that they show none of the same fruit are left out.
+    """
+    current = _round_of(rounds, round_key)
+    others = sorted(_of_house(rounds, current), key=lambda x: abs(x.walked_s - current.walked_s))
+    after_s = [(x, x.walked_s - current.walked_s) for x in others]
+    earlier = [x for x, later_s in after_s if later_s < -_SAME_DAY_S]
+    return earlier, [x for x, later_s in after_s if _SAME_DAY_S < later_s < _FARTHEST_S]
 
 
 def _round_of(rounds: list[Round], key: str) -> Round:
-    for round_summary in rounds:
-        if round_summary.key == key:
-            return round_summary
+    for walk in rounds:
+        if walk.key == key:
+            return walk
     raise RoundError("there is no round {key}", remedy="see the list of rounds", key=key)
 
 
@@ -382,15 +332,3 @@ def _of_house(rounds: list[Round], current: Round) -> list[Round]:
     """
     house = house_key(current.house), is_demonstration(current.key)
     return [x for x in rounds if x.fruit and (house_key(x.house), is_demonstration(x.key)) == house]
-
-
-def _neighbours(rounds: list[Round], round_key: str) -> list[tuple[float, Round]]:
-    """Return the other rounds of a house that hold fruit, each with how much later it was walked.
-
-    Those of the same day are left out; the nearest is first.
-    """
-    current = _round_of(rounds, round_key)
-    others = [(x.walked_s - current.walked_s, x) for x in _of_house(rounds, current)]
-    return sorted(
-        (part for part in others if abs(part[0]) > _SAME_DAY_S), key=lambda part: abs(part[0])
-    )

@@ -109,28 +109,21 @@ def pairs_within(values: Floats, gate: float | Floats) -> tuple[Ints, Ints]:
     Returns
     -------
     i, j : ndarray of intp, shape (K,)
-        Indices, i before j in the order of values.
+        Indices, i below j, in their order.
 
     Examples
     --------
     >>> i, j = pairs_within(np.array([0.3, 0.0, 0.1, 0.9]), 0.25)
     >>> list(zip(i.tolist(), j.tolist()))
-    [(1, 2), (2, 0)]
+    [(0, 2), (1, 2)]
     """
-    widest = float(np.max(gate, initial=0.0))
-    order = np.argsort(values, kind="stable")
-    ordered = values[order]
-    until = np.searchsorted(ordered, ordered + widest, side="right")
-    counts = np.maximum(until - np.arange(len(values)) - 1, 0)
-    first = np.repeat(np.arange(len(values)), counts)
-    start = np.repeat(np.cumsum(counts) - counts, counts)
-    second = first + 1 + np.arange(len(first)) - start
-    i, j = order[first], order[second]
-    if np.ndim(gate):
-        reach = np.broadcast_to(gate, values.shape)
-        within = np.abs(values[i] - values[j]) <= np.maximum(reach[i], reach[j])
-        return i[within], j[within]
-    return i, j
+    from scipy.spatial import KDTree
+
+    widest, reach_m = float(np.max(gate, initial=0.0)), np.broadcast_to(gate, values.shape)
+    pairs = KDTree(values[:, None]).query_pairs(widest, output_type="ndarray")
+    i, j = pairs[np.lexsort(pairs.T[::-1])].T
+    within = np.abs(values[i] - values[j]) <= np.maximum(reach_m[i], reach_m[j])
+    return i[within], j[within]
 
 
 _SIZE_TAIL = 0.1  # share of sizes that are wrong: a hidden end, leaves measured as fruit

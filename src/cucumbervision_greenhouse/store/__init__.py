@@ -1,4 +1,4 @@
-"""Rounds on disk: the database, the pictures, and the log of manual actions."""
+"""Rounds on disk: the database, the images, and the log of manual actions."""
 
 from importlib.util import find_spec
 

@@ -1,4 +1,4 @@
-"""Verify a store: the database's own check, and the hashes of its pictures."""
+"""Verify a store: the database's own check, and the hashes of its images."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from cucumbervision.errors import StoredImageError
 from cucumbervision_greenhouse.store.engine import Database
 from cucumbervision_greenhouse.store.schema import CAPTURES
 
-_GRACE_S = 3600.0  # longer than any program takes between a picture and the stop that names it
-_PICTURES = (CAPTURES.c.color, CAPTURES.c.depth, CAPTURES.c.thumbnail)
+_GRACE_S = 3600.0  # longer than any program takes between an image and the stop that names it
+_IMAGES = (CAPTURES.c.color, CAPTURES.c.depth, CAPTURES.c.thumbnail)
 
 
 @dataclass(frozen=True)
@@ -26,9 +26,9 @@ class StoreCheck:
     pictures : int
         How many the database names.
     missing, damaged : tuple of Path
-        Pictures that are missing, or whose content differs from their name.
+        Images that are missing, or whose content differs from their name.
     orphans : tuple of Path
-        Files that no stop names: a program ended between its pictures and its stop.
+        Files that no stop names: a program ended between its images and its stop.
     removed : tuple of Path
         Which orphans were removed.
     faults : tuple of str
@@ -49,7 +49,7 @@ class StoreCheck:
 
 
 def check_store(store: Database, *, remove: bool = False, grace_s: float = _GRACE_S) -> StoreCheck:
-    """Check a store and its pictures; files that a stop names are never removed.
+    """Check a store and its images; files that a stop names are never removed.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def check_store(store: Database, *, remove: bool = False, grace_s: float = _GRAC
         If the database cannot be read.
     """
     with store.reading() as connection:
-        lines = connection.execute(select(*_PICTURES))
+        lines = connection.execute(select(*_IMAGES))
         names = sorted({name for line in lines for name in line if name is not None})
     named = {name: store.images.path(name) for name in names}
     missing = [path for path in named.values() if not path.exists()]
@@ -74,7 +74,7 @@ def check_store(store: Database, *, remove: bool = False, grace_s: float = _GRAC
     damaged = [named[name] for name in present if not _is_whole(store, name)]
     orphans = []
     for path in sorted(set(store.images.files()) - set(named.values())):
-        # Another program may remove or finish it; one that puts such a picture again first makes
+        # Another program may remove or finish it; one that puts such an image again first makes
         # its time of change now.
         with suppress(FileNotFoundError):
             if path.stat().st_mtime < time.time() - grace_s:

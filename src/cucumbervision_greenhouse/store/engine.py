@@ -15,15 +15,19 @@ from copy import copy
 from pathlib import Path
 from typing import Any, Self
 
-from sqlalchemy import Column, Connection, Engine, create_engine, event, func, inspect, select, text
-from sqlalchemy.engine import URL, make_url
-from sqlalchemy.exc import (
-    ArgumentError,
-    DBAPIError,
-    OperationalError,
-    SQLAlchemyError,
-    StatementError,
+from sqlalchemy import (
+    Column,
+    Connection,
+    Engine,
+    create_engine,
+    event,
+    exc,
+    func,
+    inspect,
+    select,
+    text,
 )
+from sqlalchemy.engine import URL, make_url
 
 from cucumbervision.errors import (
     DiskFullError,
@@ -85,7 +89,7 @@ def database_url(where: str | Path) -> URL:
     text = str(where)
     try:
         url = make_url(text) if "://" in text else URL.create("sqlite", database=text)
-    except ArgumentError:
+    except exc.ArgumentError:
         raise StoreError("is not a database address", source="--store", remedy=_USAGE) from None
     backend = url.get_backend_name()
     if backend == "postgresql":
@@ -253,26 +257,26 @@ def _store_errors(url: URL) -> Iterator[None]:
         raise StoreError(
             "a number is too large for the database", source=named(url), remedy="give a smaller one"
         ) from error
-    except SQLAlchemyError as error:
-        if isinstance(error, StatementError) and isinstance(error.orig, StoreError):
+    except exc.SQLAlchemyError as error:
+        if isinstance(error, exc.StatementError) and isinstance(error.orig, StoreError):
             raise error.orig from None
-        cause = error.orig if isinstance(error, DBAPIError) and error.orig else error
+        cause = error.orig if isinstance(error, exc.DBAPIError) and error.orig else error
         fault = str(cause).strip().splitlines()[0] if str(cause).strip() else type(cause).__name__
         remedy = next((hint for sign, hint in _HINTS if sign in fault), "see the fault's own words")
-        away = StoreAwayError if isinstance(error, OperationalError) else StoreError
+        away = StoreAwayError if isinstance(error, exc.OperationalError) else StoreError
         kind = DiskFullError if remedy == _MAKE_ROOM else away
         raise kind(fault, source=named(url), remedy=remedy) from error
 
 
 class Database:
-    """An open database and the folder of its pictures. Any number of threads may use one.
+    """An open database and the folder of its images. Any number of threads may use one.
 
     Parameters
     ----------
     engine : sqlalchemy.Engine
         The connection, as `make_engine` makes it.
     images : Path, optional
-        Folder of the pictures, where it is known.
+        Folder of the images, where it is known.
     """
 
     def __init__(self, engine: Engine, images: Path | None) -> None:
@@ -296,7 +300,7 @@ class Database:
 
     @property
     def images(self) -> ImageStore:
-        """The pictures beside the database."""
+        """The images beside the database."""
         if self._images is None:
             raise StoreError(
                 "the folder of the pictures is not known",

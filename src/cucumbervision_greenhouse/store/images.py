@@ -1,4 +1,4 @@
-"""Pictures beside the database, named by the hash of their content and written atomically."""
+"""Images beside the database, named by the hash of their content and written atomically."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import uuid
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cucumbervision.arrays import Array32, Numbers, Pixels
 from cucumbervision.errors import StoredImageError, StoreError, wrap_os_errors
 from cucumbervision.files import replacing, sync_folder
 
@@ -24,7 +24,7 @@ _ABANDONED_S = 3600.0  # age of a partial file that nobody writes any more
 
 
 class ImageStore:
-    """A folder of pictures.
+    """A folder of images.
 
     A file is written under a temporary name, flushed to the disk and then renamed, so that a power
     failure leaves a complete file or none. Existing files are never overwritten, and the content
@@ -33,7 +33,7 @@ class ImageStore:
     Parameters
     ----------
     folder : Path
-        Made when the first picture is put.
+        Made when the first image is put.
 
     Examples
     --------
@@ -50,8 +50,8 @@ class ImageStore:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
 
-    def put_color(self, color: NDArray[np.uint8]) -> str:
-        """Store a colour picture as PNG, from which can be measured again to the same length.
+    def put_color(self, color: Pixels) -> str:
+        """Store a colour image as PNG, from which can be measured again to the same length.
 
         Parameters
         ----------
@@ -63,20 +63,20 @@ class ImageStore:
         StoreError
             If the folder cannot be written.
         """
-        return self._put_picture(color, ".png")
+        return self._put_image(color, ".png")
 
-    def put_thumbnail(self, color: NDArray[np.uint8]) -> str:
-        """Store a small JPEG of a colour picture, at most `THUMBNAIL_PX` wide or high."""
+    def put_thumbnail(self, color: Pixels) -> str:
+        """Store a small JPEG of a colour image, at most `THUMBNAIL_PX` wide or high."""
         import cv2
 
         scale = min(1.0, THUMBNAIL_PX / max(color.shape[:2]))
         size = (max(1, round(color.shape[1] * scale)), max(1, round(color.shape[0] * scale)))
         small = cv2.resize(color, size, interpolation=cv2.INTER_AREA)
         quality = (cv2.IMWRITE_JPEG_QUALITY, _THUMBNAIL_QUALITY)
-        return self._put_picture(cast("NDArray[Any]", small), ".jpg", quality)
+        return self._put_image(cast("Numbers", small), ".jpg", quality)
 
-    def put_depth(self, depth_m: NDArray[np.float32]) -> str:
-        """Store a depth picture as 16-bit PNG in steps of `DEPTH_UNIT_M`; 0 is no reading.
+    def put_depth(self, depth_m: Array32) -> str:
+        """Store a depth image as 16-bit PNG in steps of `DEPTH_UNIT_M`; 0 is no reading.
 
         Parameters
         ----------
@@ -85,10 +85,10 @@ class ImageStore:
         """
         steps = np.rint(np.nan_to_num(depth_m, nan=0.0, posinf=0.0, neginf=0.0) / DEPTH_UNIT_M)
         stored_steps = np.where((steps > 0) & (steps <= np.iinfo(np.uint16).max), steps, 0)
-        return self._put_picture(stored_steps.astype(np.uint16), ".png")
+        return self._put_image(stored_steps.astype(np.uint16), ".png")
 
     def put(self, data: bytes, suffix: str) -> str:
-        """Store an encoded picture, and return its name: the hash of its content, and its suffix.
+        """Store an encoded image, and return its name: the hash of its content, and its suffix.
 
         Raises
         ------
@@ -104,11 +104,11 @@ class ImageStore:
         return name
 
     def path(self, name: str) -> Path:
-        """Return a picture's file: two levels of folders, then the whole hash."""
+        """Return an image's file: two levels of folders, then the whole hash."""
         return self.folder / name[:2] / name[2:4] / name
 
     def read(self, name: str) -> bytes:
-        """Read a picture's file and compare it with its hash.
+        """Read an image's file and compare it with its hash.
 
         Raises
         ------
@@ -125,22 +125,25 @@ class ImageStore:
             )
         return data
 
-    def read_color(self, name: str) -> NDArray[np.uint8]:
-        """Read a colour picture or thumbnail: RGB, uint8, shape (H, W, 3)."""
+    def read_color(self, name: str) -> Pixels:
+        """Read a colour image or thumbnail: RGB, uint8, shape (H, W, 3)."""
+        return cast("Pixels", self._decoded(name, "IMREAD_COLOR")[..., ::-1].copy())
+
+    def read_depth(self, name: str, unit_m: float = DEPTH_UNIT_M) -> Array32:
+        """Read a depth image: metres, float32, shape (H, W), 0 where there is no reading."""
+        steps = self._decoded(name, "IMREAD_UNCHANGED")
+        return (steps.astype(np.float64) * unit_m).astype(np.float32)
+
+    def _decoded(self, name: str, how: str) -> Numbers:
         import cv2
 
-        image = cv2.imdecode(np.frombuffer(self.read(name), np.uint8), cv2.IMREAD_COLOR)
-        return cast("NDArray[np.uint8]", cv2.cvtColor(_decoded(image), cv2.COLOR_BGR2RGB))
-
-    def read_depth(self, name: str, unit_m: float = DEPTH_UNIT_M) -> NDArray[np.float32]:
-        """Read a depth picture: metres, float32, shape (H, W), 0 where there is no reading."""
-        import cv2
-
-        image = cv2.imdecode(np.frombuffer(self.read(name), np.uint8), cv2.IMREAD_UNCHANGED)
-        return (_decoded(image).astype(np.float64) * unit_m).astype(np.float32)
+        image = cv2.imdecode(np.frombuffer(self.read(name), np.uint8), getattr(cv2, how))
+        if image is None:  # the hash is right, so it was no image when it was put
+            raise StoredImageError("is not a readable picture", remedy="measure the capture again")
+        return cast("Numbers", image)
 
     def files(self) -> Iterator[Path]:
-        """Return every picture in the folder, named by a hash or not."""
+        """Return every image in the folder, named by a hash or not."""
         yield from self.folder.glob("??/??/*")
 
     def clean(self) -> None:
@@ -154,9 +157,7 @@ class ImageStore:
     def _half_written(self) -> Path:
         return self.folder / "writing"
 
-    def _put_picture(
-        self, image: NDArray[Any], suffix: str, parameters: tuple[int, ...] = ()
-    ) -> str:
+    def _put_image(self, image: Numbers, suffix: str, parameters: tuple[int, ...] = ()) -> str:
         import cv2
 
         if image.ndim == 3:
@@ -165,9 +166,9 @@ class ImageStore:
         return self.put(data.tobytes(), suffix)
 
     def _has(self, path: Path) -> bool:
-        """Return whether the picture is there and whole; its time of change becomes now.
+        """Return whether the image is there and whole; its time of change becomes now.
 
-        The time of change is what keeps `check` from removing a picture as an orphan between
+        The time of change is what keeps `check` from removing an image as an orphan between
         this and the transaction that names it.
         """
         try:
@@ -189,9 +190,3 @@ class ImageStore:
             part.write_bytes(data)
         for new in new_folders:
             sync_folder(new.parent)
-
-
-def _decoded(image: Any) -> NDArray[Any]:
-    if image is None:  # the hash is right, so it was no picture when it was put
-        raise StoredImageError("is not a readable picture", remedy="measure the capture again")
-    return cast("NDArray[Any]", image)

@@ -14,16 +14,7 @@ import sqlalchemy as sa
 from alembic import op
 
 from cucumbervision.run.options import GRAVITY_BY_EDGE
-from cucumbervision_greenhouse.store.schema import (
-    CAPTURES,
-    FRUIT,
-    LINKS,
-    MARKS,
-    METADATA,
-    ROUNDS,
-    SHAPES,
-    STOPS,
-)
+from cucumbervision_greenhouse.store import schema as tables
 
 _AT_ONCE = 1000  # lines that are held in memory
 _CAPTURE_RECORD = (
@@ -41,15 +32,15 @@ _INTERVAL = ("low_m", "high_m", "of", "basis")
 def _from_3() -> None:
     """From schema 3 (0.1.0, 9771f34 to 64d81fbb): a fruit is its row, and a decision a mark."""
     old = _set_aside()
-    METADATA.create_all(op.get_bind(), checkfirst=False)
+    tables.METADATA.create_all(op.get_bind(), checkfirst=False)
     stops, fruit, measured, masks = (
         old[name] for name in ("stops", "fruit", "measurements", "masks")
     )
-    _copy(ROUNDS, sa.select(old["rounds"]))
+    _copy(tables.ROUNDS, sa.select(old["rounds"]))
     artifacts = _artifacts(old)
     rows = sa.outerjoin(stops, old["rows"], stops.c.row_id == old["rows"].c.id)
     _copy(
-        STOPS,
+        tables.STOPS,
         sa.select(stops, old["rows"].c.name.label("row")).select_from(rows),
         lambda stop: {
             "artifacts": [made for made in artifacts[stop["id"]] if made["kind"] != "measured-from"]
@@ -57,7 +48,7 @@ def _from_3() -> None:
     )
     suffix_of = {line["sha256"]: line["suffix"] for line in _lines(sa.select(old["images"]))}
     _copy(
-        CAPTURES,
+        tables.CAPTURES,
         sa.select(old["captures"]),
         lambda capture: _capture(capture, suffix_of, artifacts[capture["stop_id"]]),
     )
@@ -67,7 +58,7 @@ def _from_3() -> None:
     for line in _lines(sa.select(*measured.c["fruit_id", "method", "length_m"])):
         lengths[line["fruit_id"]][f"{line['method'].lower()}_m"] = line["length_m"]
     _copy(
-        FRUIT,
+        tables.FRUIT,
         sa.select(fruit),
         lambda line: {
             **{"fruit": line["number"], "deleted": line["id"] in gone},
@@ -77,16 +68,19 @@ def _from_3() -> None:
     chosen = sa.and_(measured.c.fruit_id == fruit.c.id, measured.c.method == fruit.c.method)
     shaped = sa.join(fruit, masks, masks.c.fruit_id == fruit.c.id).outerjoin(measured, chosen)
     columns = (masks.c["fruit_id", "rle", "keypoints"], measured.c["path_um", "diameter_um"])
-    _copy(SHAPES, sa.select(*columns[0], *columns[1]).select_from(shaped), _shape)
+    _copy(tables.SHAPES, sa.select(*columns[0], *columns[1]).select_from(shaped), _shape)
     _copy_marks(old)
-    _copy(LINKS, sa.select(old["links"]).where(old["links"].c.action_id.is_(None)))
+    _copy(tables.LINKS, sa.select(old["links"]).where(old["links"].c.action_id.is_(None)))
     for name in _OLD:
         old[name].drop(op.get_bind())
     if op.get_bind().dialect.name == "postgresql":
         op.execute("DROP SCHEMA old")
-        for table in (ROUNDS, STOPS, CAPTURES, FRUIT, MARKS, LINKS):  # go on counting
-            newest = f"(SELECT coalesce(max(id), 0) + 1 FROM {table.name})"
-            op.execute(f"SELECT setval(pg_get_serial_sequence('{table}', 'id'), {newest}, false)")
+        for name, table in tables.METADATA.tables.items():
+            if "id" in table.c:  # go on counting
+                newest = f"(SELECT coalesce(max(id), 0) + 1 FROM {name})"
+                op.execute(
+                    f"SELECT setval(pg_get_serial_sequence('{name}', 'id'), {newest}, false)"
+                )
 
 
 def _set_aside() -> dict[str, sa.Table]:
@@ -139,7 +133,7 @@ def _artifacts(old: dict[str, sa.Table]) -> dict[int, list[dict[str, Any]]]:
 def _capture(
     capture: Any, suffix_of: dict[str, str], artifacts: list[dict[str, Any]]
 ) -> dict[str, Any]:
-    """Name pictures by their files, and put what is no column into one cell."""
+    """Name images by their files, and put what is no column into one cell."""
     record = {name: capture.get(name) for name in _CAPTURE_RECORD}
     for made in artifacts:  # 0.1.0 stored how the camera was held, and no gravity
         edge = str(made["details"].get("camera_up"))
@@ -193,7 +187,7 @@ def _copy_marks(old: dict[str, sa.Table]) -> None:
             known.setdefault("rounds", [action["round_id"]])
         return {"details": known}
 
-    _copy(MARKS, sa.select(actions).order_by(actions.c.id), cells)
+    _copy(tables.MARKS, sa.select(actions).order_by(actions.c.id), cells)
 
 
 def _row_of(record: dict[str, Any]) -> dict[str, Any]:

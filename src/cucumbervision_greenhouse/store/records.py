@@ -154,7 +154,7 @@ class FruitRow(SimpleNamespace):
           tube's diameter along it. Lists leave them out;
         - `key`, `stop_key`, `round_key`, `capture`, `simulated`, `thumbnail`, `row`, `side`,
           `step`, `taken_s`: its own key, and those of its stop and round; its capture's name and
-          small picture; where and when it was taken;
+          small image; where and when it was taken;
         - `along_m`, `along_sd_m`: where it hangs along the row;
         - `verdict`, `picked_s`, `corrected`: a person's verdict, when it was picked, and whether
           its outline was corrected;
@@ -272,9 +272,9 @@ class CaptureRecord:
     camera : mapping
         The colour intrinsics, as `capture.camera_file.CameraModel` writes them.
     color, depth, thumbnail : str, optional
-        Its pictures in the `ImageStore`.
+        Its images in the `ImageStore`.
     depth_unit_m : float, optional
-        Metres of one step of the depth picture.
+        Metres of one step of the depth image.
     gravity : tuple of float, optional
         Direction of gravity in camera coordinates that it was measured with.
     doubts : tuple of str, optional
@@ -356,6 +356,11 @@ class StopRecord(Stop):
         """Take what an earlier version stored as it is; `check_place` checks before saving."""
 
     @property
+    def at_m(self) -> float | None:
+        """Where it is along the row: as the merging fitted it, else as it was given."""
+        return self.position_m if self.fitted_m is None else self.fitted_m
+
+    @property
     def pose_now(self) -> Point:
         """The pose on the side on which the stop is now."""
         turned = tuple(-x for x in self.pose[:3]) + tuple(self.pose[3:])
@@ -373,7 +378,7 @@ class StopRecord(Stop):
 
     @property
     def thumbnail(self) -> str | None:
-        """The small picture of the first capture."""
+        """The small image of the first capture."""
         return self.captures[0].thumbnail if self.captures else None
 
     def has_camera_of(self, stop: StopRecord) -> bool:

@@ -1,4 +1,4 @@
-"""The store: rounds, stops and fruit in a database, their pictures beside it."""
+"""The store: rounds, stops and fruit in a database, their images beside it."""
 
 from __future__ import annotations
 
@@ -75,8 +75,8 @@ def open_store(where: str | Path, *, images: Path | None = None, create: bool = 
     where : str or Path
         The path of an SQLite file, or 'postgresql://user@host/database?images=FOLDER'.
     images : Path, optional
-        Folder of the pictures; by default that of the address. Beside an SQLite file 'house.db' it
-        is 'house.images'; with PostgreSQL it must be named before pictures are read or written.
+        Folder of the images; by default that of the address. Beside an SQLite file 'house.db' it
+        is 'house.images'; with PostgreSQL it must be named before images are read or written.
     create : bool
         False refuses an SQLite file that is not there: for reading alone.
 
@@ -161,8 +161,8 @@ class Store(Marks):
     def save_stop(self, stop: StopRecord) -> bool:
         """Add a stop with all that is in it and return True; the same key again changes nothing.
 
-        Put its pictures into `images` first: a picture without a stop can be found and removed
-        (`check_store`), a stop without its picture cannot be repaired.
+        Put its images into `images` first: an image without a stop can be found and removed
+        (`check_store`), a stop without its image cannot be repaired.
 
         Raises
         ------
@@ -323,8 +323,7 @@ class Store(Marks):
             Add mask, keypoints and path.
         """
         with self.reading() as connection, self._decoding():
-            round_id = round_id_of(connection, round_key)
-            return _views_of(connection, round_key, round_id, stop, shapes=shapes)
+            return _views_of(connection, round_id_of(connection, round_key), stop, shapes=shapes)
 
     def detection(self, key: str) -> DetectionDetail:
         """Return one fruit of one capture with everything.
@@ -336,21 +335,14 @@ class Store(Marks):
         """
         with self.reading() as connection, self._decoding():
             [line] = find_fruit(connection, [key])
-            query = select(ROUNDS.c.key).where(ROUNDS.c.id == line.round_id)
-            of_round = connection.execute(query).scalar_one(), line.round_id
-            views = {view.key: view for view in _views_of(connection, *of_round)}
-            stop_key = views[key].stop_key
-            shaped = _views_of(connection, *of_round, stop_key, shapes=True)
-            [shape] = [view.shape for view in shaped if view.key == key]
-            [stop] = _stops_of(connection, STOPS.c.key == stop_key)
-            log = _log_of(connection, of_round[0], None)
-        [capture] = [capture for capture in stop.captures if capture.name == views[key].capture]
-        return DetectionDetail(
-            view=views[key].with_(**shape),
-            capture=capture,
-            stop=stop,
-            log=tuple(mark for mark in log if key in mark.fruit),
-        )
+            [view] = (x for x in _views_of(connection, line.round_id) if x.key == key)
+            shaped = _views_of(connection, line.round_id, view.stop_key, shapes=True)
+            [shape] = (x.shape for x in shaped if x.key == key)
+            [stop] = _stops_of(connection, STOPS.c.key == view.stop_key)
+            marks = _log_of(connection, view.round_key, None)
+        [capture] = (capture for capture in stop.captures if capture.name == view.capture)
+        log = tuple(mark for mark in marks if key in mark.fruit)
+        return DetectionDetail(view.with_(**shape), capture, stop, log)
 
     def picked(self, round_key: str) -> dict[str, float]:
         """Return the times of picking by the fruit's keys."""
@@ -500,12 +492,7 @@ def _shape_of(mask: str | None, record: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _views_of(
-    connection: Connection,
-    round_key: str,
-    round_id: int,
-    stop: str | None = None,
-    *,
-    shapes: bool = False,
+    connection: Connection, round_id: int, stop: str | None = None, *, shapes: bool = False
 ) -> list[FruitRow]:
     """Return fruit in the order of their stops, with marks: a round's grouped, or one stop's."""
     place = ("position_m", "position_sd_m", "fitted_m", "fitted_sd_m", "mirrored")
@@ -513,7 +500,7 @@ def _views_of(
         select(
             FRUIT.c.key,
             *_ROW_CELLS,
-            STOPS.c.key.label("stop_key"),
+            *(STOPS.c.key.label("stop_key"), ROUNDS.c.key.label("round_key")),
             CAPTURES.c.name.label("capture"),
             *(CAPTURES.c[name] for name in ("simulated", "thumbnail")),
             *(STOPS.c[name] for name in ("row", "side", "step", "taken_s", *place)),
@@ -521,6 +508,7 @@ def _views_of(
         )
         .join(CAPTURES, CAPTURES.c.id == FRUIT.c.capture_id)
         .join(STOPS, STOPS.c.id == CAPTURES.c.stop_id)
+        .join(ROUNDS, ROUNDS.c.id == FRUIT.c.round_id)
         .where(FRUIT.c.round_id == round_id, ~FRUIT.c.deleted, ~STOPS.c.deleted)
         .order_by(STOPS.c.taken_s, STOPS.c.id, CAPTURES.c.number, FRUIT.c.fruit)
     )
@@ -546,7 +534,7 @@ def _views_of(
             if sd_m is not None:
                 values["along_sd_m"] = hypot(sd_m, values["offset_sd_m"] or 0.0)
         values |= {"verdict": decided.get("verdict"), "picked_s": decided.get("picked_s")}
-        values |= {"round_key": round_key, "corrected": "row" in decided, "group": line["key"]}
+        values |= {"corrected": "row" in decided, "group": line["key"]}
         views.append(FruitRow(**values))
     return views if stop is not None else _grouped(views, links_of(connection, round_id))
 

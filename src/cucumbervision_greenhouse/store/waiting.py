@@ -17,8 +17,7 @@ from pathlib import Path
 from pydantic import FiniteFloat, TypeAdapter
 
 from cucumbervision.capture.frames import Capture, Stop
-from cucumbervision.capture.readers import open_source
-from cucumbervision.capture.readers.native import write_native
+from cucumbervision.capture.readers.native import read_native, write_native
 from cucumbervision.errors import StoreError, wrap_os_errors
 from cucumbervision.files import sync_folder
 
@@ -66,7 +65,7 @@ class Waiting:
         CaptureError
             If it was damaged since.
         """
-        capture = next(iter(open_source(self.folder))).load()
+        capture = read_native(self.folder)
         return replace(capture, source=self.source or capture.source)
 
 

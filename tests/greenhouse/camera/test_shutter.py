@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.greenhouse.camera.test_cameras import Walking, frame
-from tests.greenhouse.conftest import add_one
+from tests.greenhouse.conftest import add_one, measure_waiting
 
 from cucumbervision.capture.frames import Stop
 from cucumbervision.capture.realsense import CameraConfig
@@ -18,8 +18,8 @@ from cucumbervision.networks.registry import load_registry
 from cucumbervision.run.options import MeasureOptions
 from cucumbervision_greenhouse.camera.cameras import Feed, FolderFeed, StreamCamera
 from cucumbervision_greenhouse.camera.shutter import Shutter, is_lost
-from cucumbervision_greenhouse.jobs import Job, fault_of
-from cucumbervision_greenhouse.measuring import SharedMeasurer, measure_waiting
+from cucumbervision_greenhouse.measuring import SharedMeasurer
+from cucumbervision_greenhouse.resources import fault_of
 from cucumbervision_greenhouse.rounds.walking import DEMONSTRATION
 from cucumbervision_greenhouse.store.records import key_of
 from cucumbervision_greenhouse.store.repository import Store
@@ -143,8 +143,7 @@ def test_what_waits_is_measured_once_though_the_program_was_killed_in_between(
     add_one(store, one.round_key, one.load(), options, key=one.key)
     settled: list[str] = []
 
-    job = Job("measuring")
-    assert measure_waiting(waiting, measurer, store, lambda: options, settled.append, job) == 1
+    assert measure_waiting(waiting, measurer, store, lambda: options, settled.append) == 1
     assert waiting.captures() == []
     assert settled == [DEMONSTRATION]
     assert [stop.key for stop in store.stops(DEMONSTRATION)] == [one.key]
@@ -162,7 +161,7 @@ def test_a_damaged_capture_does_not_hold_the_others_up(
     first, second = waiting.captures()
     (first.folder / "color_000000.png").write_bytes(b"no picture")
     measurer, options = SharedMeasurer(load_registry()), MeasureOptions(instances="dataset")
-    measure_waiting(waiting, measurer, store, lambda: options, print, Job("measuring"))
+    measure_waiting(waiting, measurer, store, lambda: options)
     assert [stop.key for stop in store.stops(DEMONSTRATION)] == [second.key]
     assert [one.key for one in waiting.set_aside()] == [first.key]
     assert "color_000000.png" in caplog.text

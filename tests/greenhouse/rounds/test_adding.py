@@ -32,7 +32,7 @@ from cucumbervision_greenhouse.rounds.adding import (
 )
 from cucumbervision_greenhouse.rounds.fruit_table import find_round, fruit_table, read_round
 from cucumbervision_greenhouse.rounds.merge_and_link import merge_round
-from cucumbervision_greenhouse.rounds.poses import PoseLine, pose_matrix
+from cucumbervision_greenhouse.rounds.walking import PoseLine, pose_matrix
 from cucumbervision_greenhouse.store.check import check_store
 from cucumbervision_greenhouse.store.images import ImageStore
 from cucumbervision_greenhouse.store.records import FruitRow, Round, StopRecord, Verdict, key_of

@@ -89,9 +89,9 @@ def test_unknown_lengths_count_in_no_figure_of_a_round_nor_its_forecast(tmp_path
         content = read_round(opened, MONDAY.key)
     table = fruit_table(content)
     figures = round_figures(content, table)
-    assert (figures.fruit, figures.measured) == (4, 4)
-    assert (figures.shortest_m, figures.longest_m) == (0.30, 0.32)
-    assert figures.mean_m == pytest.approx(0.31)
+    assert (figures["fruit"], figures["measured"]) == (4, 4)
+    assert (figures["shortest_m"], figures["longest_m"]) == (0.30, 0.32)
+    assert figures["mean_m"] == pytest.approx(0.31)
     states = fruit_states(table, 0.0, load_profile("long-cucumber"))
     lengths = [(state.length_m, state.at_least) for state in states]
     assert sorted(lengths) == [(0.0, True), (0.10, True), (0.30, False), (0.32, False)]

@@ -65,10 +65,10 @@ def test_a_round_is_merged_and_counted(store: Store, row: Walk) -> None:
     merge_round(store, MORNING)
     [report] = row_counts(read_round(store, MORNING))
     table = fruit_table(read_round(store, MORNING))
-    assert report.fruit == len(table)
-    assert report.views == len(row.views)
-    assert report.stop_sd_m is not None
-    assert report.stop_sd_m < 0.02
+    assert report["fruit"] == len(table)
+    assert report["views"] == len(row.views)
+    assert report["stop_sd_m"] is not None
+    assert report["stop_sd_m"] < 0.02
     at = [line.along_m for line in table if line.along_m is not None]
     assert at == sorted(at)
     assert store.stops(MORNING)[0].fitted_m is not None
@@ -109,11 +109,11 @@ def test_growth_is_linked_and_forecast(store: Store, row: Walk, save_walk: Save)
     save_walk(later, NEXT)
     merge_round(store, NEXT.key)
     [found] = link_rounds(store, MORNING, NEXT.key)
-    assert found.shift_m == pytest.approx(0.2, abs=0.04)
-    assert found.sure > 5
+    assert found["shift_m"] == pytest.approx(0.2, abs=0.04)
+    assert found["sure"] > 5
     content = read_round(store, NEXT.key)
     before, table = forecasting.earlier_lengths(store, content), fruit_table(content)
-    assert 5 < len(before) <= found.sure
+    assert 5 < len(before) <= found["sure"]
     states = forecasting.fruit_states(table, 2.0, LONG, earlier=before)
     grown = [state.length_m - state.earlier[0][1] for state in states if state.earlier]
     assert 0.02 < np.median(grown) < 0.04
@@ -203,7 +203,7 @@ def test_stops_without_position_stand_alone(store: Store, save_walk: Save) -> No
     merge_round(store, MORNING)
     [report] = row_counts(read_round(store, MORNING))
     lost = sum(len(taken.fruit) for taken in stop.captures)
-    assert report.unplaced == lost
+    assert report["unplaced"] == lost
     alone = [v for v in store.detections(MORNING) if v.stop_key == key_of("lost")]
     assert [v.views for v in alone] == [1] * lost
 

@@ -89,6 +89,12 @@ def find_native(folder: Folder) -> CaptureLister | None:
     return partial(_open_folders, folder.path, [*folders]) if folders else None
 
 
+def read_native(folder: Path) -> Capture:
+    """Read a native capture folder as `write_native` wrote it."""
+    manifest = parse_model(Manifest, read_json(folder / MANIFEST), source=folder / MANIFEST)
+    return _Files(folder, manifest, ReadOptions(), None).load(manifest.name or folder.name)
+
+
 def _open_folders(
     path: Path, folders: Sequence[str], options: ReadOptions, camera_file: CameraFile | None
 ) -> Iterator[CaptureEntry]:
@@ -182,7 +188,7 @@ _UNITS_M = (0.001, 0.0005, 0.00025, 0.0001, 0.00005)
 
 _STEPS = 65535
 
-_EXACT_M = 1e-6
+_EXACT_M = 5e-7
 
 
 def write_native(
@@ -228,12 +234,11 @@ def write_native(
     >>> import tempfile, pathlib
     >>> from cucumbervision.capture.frames import Capture
     >>> from cucumbervision.capture.intrinsics import Intrinsics
-    >>> from cucumbervision.capture.readers import open_source
     >>> depth = np.full((48, 64), 0.4545, np.float32)
     >>> color, camera = np.zeros((48, 64, 3), np.uint8), Intrinsics(64, 48, 60, 60, 32, 24)
     >>> with tempfile.TemporaryDirectory() as tmp:
     ...     path = write_native(Capture(color, depth, camera, "a"), pathlib.Path(tmp) / "a")
-    ...     capture_read = next(iter(open_source(path.parent))).load()
+    ...     capture_read = read_native(path.parent)
     >>> capture_read.name, bool((capture_read.depth_m == depth).all())
     ('a', True)
     """
@@ -276,20 +281,17 @@ def write_native(
 def _choose_unit(depths_m: Sequence[Array32], folder: Path) -> tuple[float, float]:
     readings = np.unique(np.concatenate([d[np.isfinite(d) & (d > 0)].ravel() for d in depths_m]))
     far_m = float(readings.max(initial=0.0))
-    unit_m, rounding_m = 0.0, 0.0
-    for step_m in _UNITS_M:
-        if far_m / step_m > _STEPS:
-            break
-        unit_m = step_m
-        rounding_m = float(np.abs(_steps(readings, unit_m) * unit_m - readings).max(initial=0.0))
-        if rounding_m <= _EXACT_M:
-            return unit_m, 0.0
-    if not unit_m:
+    units_m = [unit_m for unit_m in _UNITS_M if far_m / unit_m <= _STEPS]
+    if not units_m:
         raise CaptureError(
             f"depth reaches {far_m:.0f} m, too far for 16 bits in millimetres",
             source=folder,
             remedy="set readings beyond 65.5 m to 0",
         )
+    for unit_m in units_m:
+        rounding_m = float(np.abs(_steps(readings, unit_m) * unit_m - readings).max(initial=0.0))
+        if rounding_m < _EXACT_M:
+            break
     return unit_m, round(rounding_m, 6)
 
 

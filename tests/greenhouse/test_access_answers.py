@@ -12,7 +12,7 @@ from starlette.requests import Request
 from starlette.testclient import TestClient
 from tests.greenhouse.camera.test_page import WALK
 
-from cucumbervision_greenhouse.answers import answer
+from cucumbervision_greenhouse.access import answer
 from cucumbervision_greenhouse.store.repository import Store
 
 

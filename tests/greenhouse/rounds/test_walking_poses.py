@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cucumbervision.errors import RoundError
-from cucumbervision_greenhouse.rounds.poses import pose_matrix, read_poses
+from cucumbervision_greenhouse.rounds.walking import pose_matrix, read_poses
 
 
 def test_csv_and_json_say_the_same(tmp_path: Path) -> None:

@@ -1,0 +1,11 @@
+from .adding import Place as Place
+from .adding import add_captures as add_captures
+from .adding import measure_round_again as measure_round_again
+from .fruit_table import find_round as find_round
+from .fruit_table import read_round as read_round
+from .fruit_table import round_doubts as round_doubts
+from .merge_and_link import link_rounds as link_rounds
+from .merge_and_link import merge_round as merge_round
+from .merge_and_link import row_counts as row_counts
+from .merge_and_link import settle as settle
+from .walking import read_poses as read_poses

@@ -281,10 +281,7 @@ def rounds() -> list[Round]:
 
     That is nobody's work.
     """
-    return sorted(
-        store().rounds(),
-        key=lambda round_summary: (is_demonstration(round_summary.key), -round_summary.walked_s),
-    )
+    return sorted(store().rounds(), key=lambda walk: (is_demonstration(walk.key), -walk.walked_s))
 
 
 USUAL_NAME, USUAL_HOUSE = marked("Morning round"), marked("House 1")
@@ -299,9 +296,5 @@ def new_round(name: str, house: str, profile: str = "", key: str = "") -> Round:
 
 def houses(of_rounds: Iterable[Round]) -> list[str]:
     """Return the houses of rounds, each by the first of its names."""
-    named = sorted(of_rounds, key=lambda round_summary: round_summary.started_s)
-    name_of_house: dict[str, str] = {}
-    for round_summary in named:
-        if round_summary.house:
-            name_of_house.setdefault(house_key(round_summary.house), round_summary.house)
-    return sorted(name_of_house.values())
+    newest_first = sorted(of_rounds, key=lambda walk: -walk.started_s)
+    return sorted({house_key(x.house): x.house for x in newest_first if x.house}.values())

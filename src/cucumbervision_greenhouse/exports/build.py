@@ -182,10 +182,8 @@ def _fruit_lines(
     table: Sequence[FruitRow], grades: Mapping[str, Grade], forecast: Forecast | None
 ) -> Iterator[Line]:
     """Return what the columns of each fruit lead through: its row, and its words."""
-    ready: dict[str, float] = {}
-    if forecast is not None:
-        ids = (state.fruit_id for state in forecast.fruit)
-        ready = dict(zip(ids, forecast.ready().tolist(), strict=True))
+    columns = (forecast.fruit, forecast.ready().tolist()) if forecast else ((), ())
+    ready = {state.fruit_id: chance for state, chance in zip(*columns, strict=True)}
     today_m = forecasting.lengths_today(forecast)
     for fruit in table:
         yield {

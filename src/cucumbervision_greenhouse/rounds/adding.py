@@ -6,6 +6,7 @@ import hashlib
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -377,13 +378,10 @@ def measured_stop(
 
 def _written_s(source: str) -> float | None:
     """Return when a capture's file, or the manifest of its folder, was written; None if unknown."""
-    if not source:
-        return None
     path = Path(source)
-    try:
-        return (path / MANIFEST if path.is_dir() else path).stat().st_mtime
-    except (OSError, ValueError):  # in memory, in a bucket, or a frame of a recording
-        return None
+    with suppress(OSError, ValueError):  # in memory, in a bucket, or a frame of a recording
+        return (path / MANIFEST if path.is_dir() else path).stat().st_mtime if source else None
+    return None
 
 
 def _capture_record(result: CaptureResult, pose: Array, images: ImageStore | None) -> CaptureRecord:

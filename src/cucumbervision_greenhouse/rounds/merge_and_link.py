@@ -182,7 +182,7 @@ def settle(store: Store, round_key: str, profile: CropProfile | None = None) -> 
         merge_round(store, round_key)
         rounds = store.rounds()
         oldest_s = _round_of(rounds, round_key).walked_s - _FARTHEST_S
-        earlier, later = (found[:1] for found in _neighbours(rounds, round_key))
+        earlier, later = (walks[:1] for walks in _neighbours(rounds, round_key))
         before = [x.key for x in earlier if x.walked_s > oldest_s]
         for key in before:
             link_rounds(store, key, round_key, profile)

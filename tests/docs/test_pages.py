@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 import typer
-from cucumbervision_greenhouse.rounds.poses import PoseLine
 
 from cucumbervision.capture.readers.native import Manifest
 from cucumbervision.cli.app import app
@@ -18,6 +17,7 @@ from cucumbervision.methods.flags import FLAGS, Flag
 from cucumbervision.methods.result import Choice, LengthKind, MethodName, Reason
 from cucumbervision.run.fields import FIELDS
 from cucumbervision.stream.fruit_stream import FRAME_FIELDS, TRACK_FIELDS
+from cucumbervision_greenhouse.rounds.walking import PoseLine
 from cucumbervision_greenhouse.store.repository import Store
 
 DOCS = Path(__file__).parents[2] / "docs"

@@ -180,17 +180,20 @@ def progress(round_key: str) -> Progress:
     job, fault, first, words = _last().get("measure"), measuring_fault(), "", ""
     measured = job.measured if job and not job.finished else {}
     queued = [x.round_key for x in waiting().captures() if x.key not in measured]
-    own = queued.count(round_key)
-    done, elsewhere = list(measured.values()).count(round_key) if own else 0, len(queued) - own
+    of_round = queued.count(round_key)
+    done, elsewhere = (
+        list(measured.values()).count(round_key) if of_round else 0,
+        len(queued) - of_round,
+    )
     task = next((x for x in worker().unfinished() if x.round_key in ("", round_key)), None)
-    if own:
+    if of_round:
         first = counted(
-            own,
+            of_round,
             "{n} capture is saved, and not measured yet. Its results appear here.",
             "{n} captures are saved, and none is measured yet. Their results appear here.",
         )
         words = counted(
-            own + done,
+            of_round + done,
             "Measuring: {done} of {n} capture",
             "Measuring: {done} of {n} captures",
             done=done,
@@ -201,14 +204,14 @@ def progress(round_key: str) -> Progress:
             "{n} capture could not be measured; it is kept beside the store.",
             "{n} captures could not be measured; they are kept beside the store.",
         )
-    if own and fault:
+    if of_round and fault:
         words = counted(
-            own,
+            of_round,
             "{n} capture waits to be measured: {fault}",
             "{n} captures wait to be measured: {fault}",
             fault=fault,
         )
-    elif task is not None and not own:
+    elif task is not None and not of_round:
         words = _("{title}: {done} of {all}") if task.total else "{title} …"
         words = words.format(title=_(task.title), done=task.done, all=task.total)
         return Progress(words, first, task.done, task.total)
@@ -217,7 +220,7 @@ def progress(round_key: str) -> Progress:
             elsewhere, "{n} capture of other rounds waits", "{n} captures of other rounds wait"
         )
         words = "; ".join(filter(None, (words, others)))
-    return Progress(words, first, done, own + done, own)
+    return Progress(words, first, done, of_round + done, of_round)
 
 
 @st.cache_resource(show_spinner=False)

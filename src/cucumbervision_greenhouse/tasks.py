@@ -180,20 +180,17 @@ def progress(round_key: str) -> Progress:
     job, fault, first, words = _last().get("measure"), measuring_fault(), "", ""
     measured = job.measured if job and not job.finished else {}
     queued = [x.round_key for x in waiting().captures() if x.key not in measured]
-    of_round = queued.count(round_key)
-    done, elsewhere = (
-        list(measured.values()).count(round_key) if of_round else 0,
-        len(queued) - of_round,
-    )
+    due = queued.count(round_key)
+    done, elsewhere = (list(measured.values()).count(round_key) if due else 0, len(queued) - due)
     task = next((x for x in worker().unfinished() if x.round_key in ("", round_key)), None)
-    if of_round:
+    if due:
         first = counted(
-            of_round,
+            due,
             "{n} capture is saved, and not measured yet. Its results appear here.",
             "{n} captures are saved, and none is measured yet. Their results appear here.",
         )
         words = counted(
-            of_round + done,
+            due + done,
             "Measuring: {done} of {n} capture",
             "Measuring: {done} of {n} captures",
             done=done,
@@ -204,14 +201,14 @@ def progress(round_key: str) -> Progress:
             "{n} capture could not be measured; it is kept beside the store.",
             "{n} captures could not be measured; they are kept beside the store.",
         )
-    if of_round and fault:
+    if due and fault:
         words = counted(
-            of_round,
+            due,
             "{n} capture waits to be measured: {fault}",
             "{n} captures wait to be measured: {fault}",
             fault=fault,
         )
-    elif task is not None and not of_round:
+    elif task is not None and not due:
         words = _("{title}: {done} of {all}") if task.total else "{title} …"
         words = words.format(title=_(task.title), done=task.done, all=task.total)
         return Progress(words, first, task.done, task.total)
@@ -220,7 +217,7 @@ def progress(round_key: str) -> Progress:
             elsewhere, "{n} capture of other rounds waits", "{n} captures of other rounds wait"
         )
         words = "; ".join(filter(None, (words, others)))
-    return Progress(words, first, done, of_round + done, of_round)
+    return Progress(words, first, done, due + done, due)
 
 
 @st.cache_resource(show_spinner=False)

@@ -601,8 +601,8 @@ def _uncalibrated(
         capture = replace(capture, depth_m=capture.depth_m * np.float32(site.depth_divisor))
         if site.lens is not None:
             capture = replace(capture, intrinsics=site.camera.intrinsics.intrinsics)
-    of_capture = (view for view in views if view.capture == record.name)
-    fruit = (instance_of(view, capture.depth_m.shape) for view in of_capture)
+    fruit_of = (view for view in views if view.capture == record.name)
+    fruit = (instance_of(view, capture.depth_m.shape) for view in fruit_of)
     masks = (x.mask for x in fruit if x.mask_source is MaskSource.DATASET)
     return replace(capture, masks=tuple(mask for mask in masks if mask is not None))
 

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cucumbervision.capture.frames import Capture
 from cucumbervision.capture.intrinsics import Intrinsics
 from cucumbervision_lab.scenes.scene import Stem, cast_stem
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
 
 CAMERA = Intrinsics(640, 360, 462.0, 462.0, 319.5, 179.5)
 

@@ -5,44 +5,40 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import onnx
 import pytest
 from onnx import TensorProto, helper
-
-pytest.importorskip("onnx")
-
-from cucumbervision.errors import ModelError
-from cucumbervision.fruit.crops import END_PX, PLANES, EndCrop
-from cucumbervision.fruit.instance import Instance
-from cucumbervision.networks.find import EndLooker, each_fruit_once, looked_at
-from cucumbervision.networks.registry import load_registry
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from cucumbervision.arrays import Array32
 from tests.constant_network import constant_network, registry_of
 
+from cucumbervision.arrays import Array32
 from cucumbervision.capture.readers import open_source
 from cucumbervision.capture.source import example_captures
-from cucumbervision.fruit.crops import HEIGHT_PX, WIDTH_PX, fruit_crop
-from cucumbervision.fruit.instance import UNKNOWN_ORDER
+from cucumbervision.errors import ModelError
+from cucumbervision.fruit.crops import (
+    END_PX,
+    HEIGHT_PX,
+    PLANES,
+    WIDTH_PX,
+    EndCrop,
+    FruitCrop,
+    fruit_crop,
+)
+from cucumbervision.fruit.instance import UNKNOWN_ORDER, Instance
 from cucumbervision.fruit.masks import box_of_mask, mask_iou
 from cucumbervision.networks import DETECTOR_SIZES_PX
 from cucumbervision.networks.find import (
+    EndLooker,
     FruitLook,
     FruitLooker,
     NetworkLoader,
     PictureLooks,
+    each_fruit_once,
+    looked_at,
     refined,
 )
-from cucumbervision.networks.registry import file_sha256
-
-if TYPE_CHECKING:
-    from cucumbervision.fruit.crops import FruitCrop
+from cucumbervision.networks.registry import file_sha256, load_registry
 
 
 def fruit_at(x: float, confidence: float, width: float = 10.0) -> Instance:

@@ -1,11 +1,12 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import socket
 import threading
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 
 import pytest
@@ -25,6 +26,7 @@ from cucumbervision.service.app import ServiceSettings, Work, create_app
 from cucumbervision.service.requests import (
     HeadLimit,
     RequestError,
+    _OnceAMinute,
     bounded,
     check_source,
     listen,
@@ -220,6 +222,25 @@ def test_who_sends_no_whole_head_or_body_is_not_waited_for() -> None:
         # The head of a second request on the same connection counts, too.
         kept = HEALTH.replace(b"Connection: close\r\n", b"")
         assert answer(port, kept, kept[:30]).count(b"HTTP/1.1 200") == 1
+
+
+def test_half_heads_and_bare_connections_keep_nobody_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Quick, "most_connections", 20)
+    monkeypatch.setattr(Quick, "head_s", 60.0)
+    with listening(MEASURER) as port:
+        opened = [socket.create_connection(("127.0.0.1", port)) for _ in range(60)]
+        for connection in opened[::2]:
+            with suppress(OSError):
+                connection.sendall(HEALTH[:30])
+        assert answer(port, HEALTH).startswith(b"HTTP/1.1 200 ")
+        for connection in opened:
+            connection.close()
+
+
+def test_a_flood_of_requests_writes_a_line_a_minute() -> None:
+    once = _OnceAMinute()
+    record = logging.LogRecord("a", logging.WARNING, "", 0, "damaged", (), None)
+    assert [bool(once.filter(record)) for _ in range(3)] == [True, False, False]
 
 
 def test_a_taken_port_is_named_and_no_address_is_announced() -> None:

@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.spatial import cKDTree
 
-from cucumbervision.capture.frames import valid_depth
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from scipy.spatial import cKDTree
-
-    from cucumbervision.arrays import Array, Array32, Pixels
-    from cucumbervision.capture.frames import Capture
-    from cucumbervision.capture.intrinsics import Intrinsics
+from cucumbervision.arrays import Array, Array32, Pixels
+from cucumbervision.capture.frames import Capture, valid_depth
+from cucumbervision.capture.intrinsics import Intrinsics
 
 LEAST_CROSSINGS = 40
 _LINE_PX, _BLUR_PX, _NEIGHBOUR_PX = 13, 2.0, 51  # maximum line width, blur and neighbourhood

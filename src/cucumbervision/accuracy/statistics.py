@@ -3,21 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from cucumbervision.arrays import Array
 from cucumbervision.files import json_value
-
-if TYPE_CHECKING:
-    from collections.abc import Hashable
-
-    from numpy.typing import ArrayLike
-
-    from cucumbervision.arrays import Array
-
 
 _FEWEST_GROUPS = 2
 

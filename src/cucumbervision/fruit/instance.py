@@ -7,12 +7,14 @@ contains each part). Boxes alone are not enough, since crossing fruit have neste
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import TYPE_CHECKING
+from typing import Any, Self
 
 import numpy as np
 
+from cucumbervision.arrays import Array, Array32, Mask, Numbers
 from cucumbervision.errors import InstancesError
 from cucumbervision.fruit.masks import (
     as_mask,
@@ -24,12 +26,6 @@ from cucumbervision.fruit.masks import (
     mask_window,
     overlap,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from typing import Any, Self
-
-    from cucumbervision.arrays import Array, Array32, Mask, Numbers
 
 KEYPOINT_NAMES = ("blossom_end", "quarter", "middle", "three_quarters", "stem_end")
 """The five landmarks along a fruit, in the order in which they are stored."""

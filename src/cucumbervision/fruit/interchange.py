@@ -5,18 +5,15 @@ Both measure from the picture's corner, `Instance` from the first pixel's centre
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
+from cucumbervision.arrays import Array, Mask, Pixels
 from cucumbervision.errors import InstancesError, MissingExtraError
 from cucumbervision.fruit.instance import Instance, MaskSource
 from cucumbervision.fruit.masks import as_mask
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from cucumbervision.arrays import Array, Mask, Pixels
 
 _KEYPOINTS = 5
 

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
 
+from cucumbervision.arrays import Array, Array32, Ints, Mask, Numbers, Pixels
 from cucumbervision.errors import InstancesError
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from cucumbervision.arrays import Array, Array32, Ints, Mask, Numbers, Pixels
 
 
 def as_mask(values: Numbers) -> Mask:

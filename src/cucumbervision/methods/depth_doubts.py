@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from cucumbervision.capture.frames import valid_depth
 from cucumbervision.fruit.masks import distances_inside, mask_pixels, mask_window, without_specks
@@ -14,12 +15,9 @@ from cucumbervision.methods.flags import Flag
 from cucumbervision.tube.evidence import quick_median
 from cucumbervision.tube.shape import principal_axis
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Mask = NDArray[np.bool_]
-    Depth = NDArray[np.float32]
-    Places = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Depth = NDArray[np.float32]
+Places = NDArray[np.float64]
 
 LEAST_FILL = 0.5
 """Share of a fruit's pixels with depth below which its length is doubtful.

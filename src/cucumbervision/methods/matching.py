@@ -9,14 +9,11 @@ other readings join.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
-    from cucumbervision.arrays import Array, Mask
+from cucumbervision.arrays import Array, Mask
 
 ALONG, UP, DEPTH = 0, 1, 2
 """Columns of positions in a row: along it, upwards, and into it."""

@@ -4,23 +4,19 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import ConfigDict, Field, PlainSerializer, PlainValidator, TypeAdapter, WithJsonSchema
 
+from cucumbervision.errors import PluginError
+from cucumbervision.fruit.crops import EndLook
+from cucumbervision.fruit.instance import Instance, MaskSource
 from cucumbervision.methods.flags import Flag, is_lower_bound
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from typing import Self
-
-    from cucumbervision.errors import PluginError
-    from cucumbervision.fruit.crops import EndLook
-    from cucumbervision.fruit.instance import Instance, MaskSource
 
 
 class MethodName(StrEnum):

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
+from cucumbervision.arrays import Array, Array32, Mask, Pixels
+from cucumbervision.capture.frames import Capture
 from cucumbervision.errors import PluginError
 from cucumbervision.fruit.masks import box_of_mask, mask_window
 from cucumbervision.methods.flags import Flag
-from cucumbervision.methods.result import TraitValue, TubeLengths, TubeTraits
+from cucumbervision.methods.result import Fruit, TraitValue, TubeLengths, TubeTraits
+from cucumbervision.methods.table import Trait
 from cucumbervision.plugins import Plugin
 from cucumbervision.tube.shape import (
     arc_positions,
@@ -22,15 +25,6 @@ from cucumbervision.tube.shape import (
     profile,
     thread_length,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
-
-    from cucumbervision.arrays import Array, Array32, Mask, Pixels
-    from cucumbervision.capture.frames import Capture
-    from cucumbervision.methods.result import Fruit
-    from cucumbervision.methods.table import Trait
-
 
 _SMALLEST_RADIUS_M = 1e-4
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import re
 import socket
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any
+from typing import Any, ClassVar
 
 import uvicorn
 from starlette.datastructures import Headers
@@ -19,7 +20,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from cucumbervision.access import is_loopback
 from cucumbervision.errors import AccessError, CucumberVisionError
 
-_MOST_CONNECTIONS = 512
+_MINUTE_S = 60.0
 _BACKLOG = 64  # so many are accepted before any of them can be closed
 _LEAVE_S = 5  # longest wait for open connections at the end
 _PORTS = {"http": 80, "https": 443}
@@ -155,15 +156,24 @@ def bounded(
 
 
 class HeadLimit(H11Protocol):
-    """HTTP/1.1 that closes a connection whose next request has no complete head in time."""
+    """HTTP/1.1 with limits for the number of connections and for the time of a request's head.
+
+    Where all connections are in use, the one that has waited longest for its head is closed: half
+    heads exclude nobody.
+    """
 
     head_s = 10.0
-    _timer: asyncio.TimerHandle | None = None
+    most_connections = 512
+    _headless: ClassVar[dict[HeadLimit, asyncio.TimerHandle]] = {}  # the oldest first
 
     def connection_made(self, transport: Any) -> None:
-        """Start the timeout of the first head."""
+        """Start the timeout of the first head; close the oldest if this is one too many."""
         super().connection_made(transport)
         self._await_head()
+        if len(self.connections) > self.most_connections:
+            oldest = next(iter(self._headless))
+            oldest._forget()
+            oldest.transport.abort()
 
     def data_received(self, data: bytes) -> None:
         """Process data, and start or end the timeout of a head."""
@@ -171,22 +181,37 @@ class HeadLimit(H11Protocol):
         self._await_head()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """End the timeout."""
-        self._stop()
+        """Forget the connection."""
+        self._forget()
         super().connection_lost(exc)
 
     def _await_head(self) -> None:
         cycle: Any = self.cycle  # the latest request; None before the first
         is_socket = self.transport.get_protocol() is not self
         if is_socket or (cycle is not None and not cycle.response_complete):
-            self._stop()
-        elif self._timer is None:
-            self._timer = self.loop.call_later(self.head_s, self.transport.close)
+            self._forget()
+        elif self not in self._headless:
+            timer = self.loop.call_later(self.head_s, self.transport.close)
+            self._headless[self] = timer
 
-    def _stop(self) -> None:
-        if self._timer is not None:
-            self._timer.cancel()
-            self._timer = None
+    def _forget(self) -> None:
+        timer = self._headless.pop(self, None)
+        if timer is not None:
+            timer.cancel()
+
+
+class _OnceAMinute(logging.Filter):
+    """Passes a message once a minute: a flood of requests does not fill the disk."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._passed_s: dict[str, float] = {}
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Return whether a message is written."""
+        text, now_s = f"{record.msg}{record.exc_info and record.exc_info[1]!r}", time.monotonic()
+        self._passed_s = {key: at for key, at in self._passed_s.items() if now_s - at < _MINUTE_S}
+        return self._passed_s.setdefault(text, now_s) == now_s
 
 
 def listen(
@@ -226,12 +251,13 @@ def listen(
             source=address,
             remedy="end the program that uses it, or choose another --port",
         ) from None
+    for name in ("uvicorn.error", "asyncio"):
+        logging.getLogger(name).addFilter(_OnceAMinute())
     config = uvicorn.Config(
         app,
         http=HeadLimit,
         ws=sockets,
         backlog=_BACKLOG,
-        limit_concurrency=_MOST_CONNECTIONS,  # more are answered with 503
         log_level="warning",
         server_header=False,
         timeout_graceful_shutdown=_LEAVE_S,

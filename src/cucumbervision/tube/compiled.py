@@ -15,18 +15,13 @@ import threading
 from contextlib import ContextDecorator
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, Self, TypeAlias
 
 import numpy as np
 
-from cucumbervision.tube.shape import BALLS, BEND_SEGMENTS, FINE, WIDTH_SEGMENTS, bases
-
-if TYPE_CHECKING:
-    from typing import Self
-
-    from cucumbervision.arrays import Array, Numbers
-    from cucumbervision.tube.evidence import Evidence
-    from cucumbervision.tube.shape import TubeShape
+from cucumbervision.arrays import Array, Numbers
+from cucumbervision.tube.evidence import Evidence
+from cucumbervision.tube.shape import BALLS, BEND_SEGMENTS, FINE, WIDTH_SEGMENTS, TubeShape, bases
 
 FOLDER = Path(__file__).parent / "kernel"
 _BODY = 3 * (BEND_SEGMENTS + 3) + (WIDTH_SEGMENTS + 3) + 3

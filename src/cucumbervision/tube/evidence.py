@@ -4,17 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from cucumbervision.arrays import Array, Ints, Mask, Numbers
 from cucumbervision.tube.shape import BALLS, BEND_SEGMENTS, FINE, WIDTH_SEGMENTS, TubeShape, bases
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from cucumbervision.arrays import Array, Ints, Mask, Numbers
-
 
 _STEPS_PX = np.array([0.5, 1.5, 2.5, 3.5])  # how far across an outline its depth is read
 _GRAZING = 0.2  # the cosine below which a ray only grazes the body

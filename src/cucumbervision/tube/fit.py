@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from cucumbervision.arrays import Array, Ints, Mask, Numbers
 from cucumbervision.tube import compiled as tube_kernel
 from cucumbervision.tube.evidence import (
     BODY,
@@ -32,10 +33,6 @@ from cucumbervision.tube.shape import (
     robust_plane,
     shape_from_curve,
 )
-
-if TYPE_CHECKING:
-    from cucumbervision.arrays import Array, Ints, Mask, Numbers
-
 
 # In shares of the length L and the radius r.
 _TWIST_SD = 1.0  # the curvature's change k' over the length: k' L^2

@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
-    from cucumbervision.arrays import Array, Mask, Numbers
-
+from cucumbervision.arrays import Array, Mask, Numbers
 
 BEND_SEGMENTS = 4
 WIDTH_SEGMENTS = 12

@@ -10,16 +10,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from typer.testing import CliRunner
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 pytest.importorskip("pycocotools")
 pytest.importorskip("onnx")

@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -8,9 +8,6 @@ import pytest
 
 from cucumbervision_lab.scenes.covers import CoverKind, FruitPicture, cover_end, read_pieces
 from cucumbervision_lab.scenes.paste import Cutout
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 RADIUS_PX, SURFACE_M, RADIUS_M = 15.0, 0.5, 0.02
 AXIS_PX = np.column_stack([np.linspace(270, 70, 41), np.full(41, 150.0)])

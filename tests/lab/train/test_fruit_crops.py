@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from cucumbervision.errors import TrainingError
-from cucumbervision.fruit.crops import HEIGHT_PX, WIDTH_PX, fruit_crop
+from cucumbervision.fruit.crops import HEIGHT_PX, WIDTH_PX, FruitCrop, fruit_crop
 from cucumbervision.fruit.instance import Instance
 from cucumbervision.fruit.masks import box_of_mask
-from cucumbervision_lab.data.labels import Label, LabelledPicture
+from cucumbervision_lab.data.labels import DataSet, Label, LabelledPicture
 from cucumbervision_lab.scenes.generate import FrameOptions, SynthOptions, generate
 from cucumbervision_lab.train.fruit_crops import (
     SURROUND_PX,
@@ -21,12 +21,6 @@ from cucumbervision_lab.train.fruit_crops import (
     collect_sets,
     outline_in_crop,
 )
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from cucumbervision.fruit.crops import FruitCrop
-    from cucumbervision_lab.data.labels import DataSet
 
 MASK = np.zeros((200, 400), bool)
 MASK[90:110, 100:300] = True

@@ -33,6 +33,8 @@ from cucumbervision.service.requests import (
     parse_place,
 )
 
+LINK = {"sec-fetch-mode": "navigate", "sec-fetch-dest": "document"}
+
 
 @pytest.mark.parametrize(
     "value", ["", "a b", "a:0", "a:70000", "a:port", "[::1", "::1", "a" * 254, "a/b", "a@b"]
@@ -56,12 +58,7 @@ def test_a_place_has_a_name_in_lower_case_and_a_port() -> None:
         {"host": "house:8501", "origin": "http://house:8501"},
         {"host": "house", "origin": "https://house:443"},
         # a link on another page that is followed
-        {
-            "host": "house",
-            "sec-fetch-site": "cross-site",
-            "sec-fetch-mode": "navigate",
-            "sec-fetch-dest": "document",
-        },
+        {"host": "house", "sec-fetch-site": "cross-site", **LINK},
     ],
 )
 def test_our_own_pages_and_links_are_admitted(headers: dict[str, str]) -> None:
@@ -76,17 +73,7 @@ def test_our_own_pages_and_links_are_admitted(headers: dict[str, str]) -> None:
         ({"host": "house", "origin": "null"}, "POST", False, "may not send"),
         ({"origin": "http://house"}, "GET", False, "may not send"),
         ({"host": "house", "sec-fetch-site": "cross-site"}, "GET", False, "another place"),
-        (
-            {
-                "host": "house",
-                "sec-fetch-site": "same-site",
-                "sec-fetch-mode": "navigate",
-                "sec-fetch-dest": "document",
-            },
-            "POST",
-            False,
-            "another place",
-        ),
+        ({"host": "house", "sec-fetch-site": "same-site", **LINK}, "POST", False, "another place"),
         ({"host": "house.example"}, "GET", True, "not this machine"),
         ({}, "GET", True, "not this machine"),
     ],

@@ -6,7 +6,6 @@ import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -21,6 +20,7 @@ from cucumbervision.fruit.mask_codes import decode_rle
 from cucumbervision.fruit.masks import box_of_mask, mask_iou
 from cucumbervision.methods.flags import Flag
 from cucumbervision.methods.result import Fruit
+from cucumbervision.networks.find import NetworkSegmenter
 from cucumbervision.networks.registry import Registry
 from cucumbervision.run.measurer import Measurer
 from cucumbervision.run.options import MeasureOptions
@@ -34,9 +34,6 @@ from cucumbervision_greenhouse.store.records import (
     Verdict,
 )
 from cucumbervision_greenhouse.store.repository import Store
-
-if TYPE_CHECKING:
-    from cucumbervision.networks.find import NetworkSegmenter
 
 
 class SharedMeasurer:

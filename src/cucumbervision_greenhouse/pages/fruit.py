@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from urllib.parse import urlencode, urljoin
 
 import numpy as np
+import pydeck
 import streamlit as st
 from numpy.typing import NDArray
 
@@ -28,9 +29,6 @@ from cucumbervision_greenhouse.rounds.adding import stored_calibration
 from cucumbervision_greenhouse.rounds.fruit_table import least_sure_first
 from cucumbervision_greenhouse.settings import Units
 from cucumbervision_greenhouse.store.records import DetectionDetail, FruitRow, Verdict
-
-if TYPE_CHECKING:
-    import pydeck
 
 
 def show(walk: RoundView, key: str, listed: Sequence[FruitRow]) -> None:

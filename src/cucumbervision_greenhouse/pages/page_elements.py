@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Container, Mapping, Sequence
 from functools import lru_cache
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from urllib.parse import urlencode
 
 import streamlit as st
+from streamlit.delta_generator import DeltaGenerator
 
 from cucumbervision.errors import CucumberVisionError
 from cucumbervision.names import readable
@@ -17,8 +19,11 @@ from cucumbervision_greenhouse import resources, round_view, tasks
 from cucumbervision_greenhouse.fruit_pictures import PICTURE_FILES
 from cucumbervision_greenhouse.language import counted, language, page_text, plain, sentence
 from cucumbervision_greenhouse.language import gettext as _
+from cucumbervision_greenhouse.round_view import RoundView
 from cucumbervision_greenhouse.rounds.forecasting import Age, age_of
 from cucumbervision_greenhouse.row_drawing import draw_rows
+from cucumbervision_greenhouse.settings import Units
+from cucumbervision_greenhouse.store.records import FruitRow, Round, Verdict
 from cucumbervision_greenhouse.words import (
     age_words,
     clock_words,
@@ -27,15 +32,6 @@ from cucumbervision_greenhouse.words import (
     step_words,
     taken_back,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Container, Mapping, Sequence
-
-    from streamlit.delta_generator import DeltaGenerator
-
-    from cucumbervision_greenhouse.round_view import RoundView
-    from cucumbervision_greenhouse.settings import Units
-    from cucumbervision_greenhouse.store.records import FruitRow, Round, Verdict
 
 _PICTURE_PX = 168  # two abreast on a phone
 _NEWS_S = 1.0  # how soon a page shows what another viewer did

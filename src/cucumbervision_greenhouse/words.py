@@ -4,27 +4,33 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterable
 from datetime import date, datetime
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cucumbervision.capture.frames import Stop
 from cucumbervision.crop import grades
-from cucumbervision.crop.grades import UNDECIDED, Grade, class_name
+from cucumbervision.crop.grades import UNDECIDED, class_name
 from cucumbervision.methods.flags import FLAGS
 from cucumbervision.methods.result import LengthDefinition
 from cucumbervision_greenhouse import language
-from cucumbervision_greenhouse.forecast.forecast import Forecast
-from cucumbervision_greenhouse.forecast.growth import Growth
-from cucumbervision_greenhouse.forecast.picking import Pick, Ready, Span
 from cucumbervision_greenhouse.language import counted, marked
 from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.rounds.forecasting import date_after
 from cucumbervision_greenhouse.rounds.merge_and_link import DAY_S
 from cucumbervision_greenhouse.rounds.walking import is_demonstration
-from cucumbervision_greenhouse.settings import Units
-from cucumbervision_greenhouse.store.records import FruitRow, LogEntry, Round, StopRecord
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from cucumbervision.capture.frames import Stop
+    from cucumbervision.crop.grades import Grade
+    from cucumbervision_greenhouse.forecast.forecast import Forecast
+    from cucumbervision_greenhouse.forecast.growth import Growth
+    from cucumbervision_greenhouse.forecast.picking import Pick, Ready, Span
+    from cucumbervision_greenhouse.settings import Units
+    from cucumbervision_greenhouse.store.records import FruitRow, LogEntry, Round, StopRecord
+
 
 LENGTH_NAMES = {
     LengthDefinition.CENTRELINE: marked("Centreline"),

@@ -88,16 +88,13 @@ def date_words(day: date, today: date) -> str:
     return {0: _("today"), 1: _("tomorrow")}.get((day - today).days, language.day_month_words(day))
 
 
-def _name_of(round_summary: Round) -> str:
-    name = round_summary.name
-    return _(name) if is_demonstration(round_summary.key) else name
-
-
 def round_name(round_summary: Round) -> str:
     """Return a round's name in a list: its name, house, day and number of stops."""
     house = f", {round_summary.house}" if round_summary.house else ""
     stops = counted(round_summary.stops, "stop", "stops")
-    name, day = _name_of(round_summary) or _("Round"), round_day(round_summary.walked_s)
+    name, day = round_summary.name or marked("Round"), round_day(round_summary.walked_s)
+    if is_demonstration(round_summary.key) or not round_summary.name:
+        name = _(name)
     return f"{name}{house} · {day} · {stops}"
 
 

@@ -322,7 +322,7 @@ class Feed:
         """Read frames; return False without a viewer, True if the camera must be opened again."""
         self._reopens = False
         with self._camera as camera:
-            while self._is_watched() and not self._reopens:
+            while time.monotonic() - self._watched_s < self._unwatched_s and not self._reopens:
                 capture = camera.read()
                 if capture is None:
                     return True
@@ -334,9 +334,6 @@ class Feed:
     def _is_past(self, at_s: float) -> bool:
         """Return whether the newest frame is of this moment or later."""
         return bool(self._ring.frames) and self._ring.frames[-1].at_s >= at_s
-
-    def _is_watched(self) -> bool:
-        return time.monotonic() - self._watched_s < self._unwatched_s
 
     def _tell(self, state: str, message: str = "") -> None:
         self._state, self._message = state, message

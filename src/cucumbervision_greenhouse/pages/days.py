@@ -52,7 +52,8 @@ def page(walk: RoundView) -> None:
     before = earlier[_choose_day(earlier)]
     comparison = round_view.comparison_of(before, round_summary)
     fruit_key = st.query_params.get("fruit")
-    if fruit_key is not None and any(fruit_key in _keys(fruit) for fruit in comparison.changes):
+    views = [view for fruit in comparison.changes for view in (fruit.before, fruit.after) if view]
+    if fruit_key in [view.key for view in views]:
         _fruit_days(round_summary, fruit_key)
         return
     _metrics(comparison, before, round_summary)
@@ -72,10 +73,6 @@ def _choose_day(earlier: dict[str, Round]) -> str:
     key = st.selectbox(_("Compare with"), list(earlier), format_func=label, key="compared_with")
     page_elements.name_in_address("day", key)
     return str(key)
-
-
-def _keys(fruit: FruitChange) -> list[str]:
-    return [view.key for view in (fruit.before, fruit.after) if view is not None]
 
 
 def _metrics(counts: DayComparison, before: Round, after: Round) -> None:

@@ -103,7 +103,7 @@ def _place(round_summary: Round) -> NextPlace:
         name = ""
     segments = partial(page_elements.choose, required=True, width="stretch")
     side_of = field(f"side{row}", usual.side if usual.side in sides else sides[0])
-    names = {side: _side_words(side) for side in sides}
+    names = {side: plain((x := side_words(side))[:1].upper() + x[1:]) for side in sides}
     side = segments(side_column.segmented_control, _("Side"), names, **side_of)
     words = _("First at [{unit}]").format(unit=unit)
     place = field(f"at{row}", usual.position_m * per_metre)
@@ -113,11 +113,6 @@ def _place(round_summary: Round) -> NextPlace:
     ways = {False: _("up the row"), True: _("down the row")}
     is_back = segments(way.segmented_control, _("Walking"), ways, **field(f"way{row}", usual.back))
     return NextPlace(name, side or sides[0], first / per_metre, stride / per_metre, bool(is_back))
-
-
-def _side_words(side: str) -> str:
-    words = side_words(side)
-    return plain(words[:1].upper() + words[1:])
 
 
 def _show(upload: Upload) -> None:

@@ -16,20 +16,13 @@ from typing import Annotated
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainSerializer, PlainValidator
 
+from cucumbervision import errors
 from cucumbervision.capture.camera_file import CameraModel
 from cucumbervision.capture.frames import LONGEST_ROW_M, Capture, Stop
 from cucumbervision.capture.intrinsics import Intrinsics, Stream
 from cucumbervision.capture.pictures import COLOR_SUFFIXES, read_color
 from cucumbervision.capture.source import CaptureSource, ReadOptions, fail
 from cucumbervision.capture.uploads import AcceptedSource, AcceptedUploads, Limits, accept_uploads
-from cucumbervision.errors import (
-    CucumberVisionError,
-    DiskFullError,
-    IntrinsicsError,
-    Message,
-    StoreAwayError,
-    UploadError,
-)
 from cucumbervision.names import LONGEST_NAME
 from cucumbervision_greenhouse.rounds import walking
 from cucumbervision_greenhouse.rounds.adding import RoundCapture
@@ -74,7 +67,9 @@ class UploadOutcome(_Frozen):
 
     name: str
     saved: bool
-    words: Annotated[str, PlainValidator(Message.from_json), PlainSerializer(Message.as_json)]
+    words: Annotated[
+        str, PlainValidator(errors.Message.from_json), PlainSerializer(errors.Message.as_json)
+    ]
 
 
 class Sending(_Frozen):
@@ -131,7 +126,7 @@ class Uploads:
             If it is larger than the limit, or than the disk has room for; nothing is kept.
         """
         if sending.size > limit_bytes:
-            raise UploadError(
+            raise errors.UploadError(
                 "{size:.0f} MB are more than the {limit:.0f} MB that are taken",
                 remedy="send it in smaller parts, or change the limit in 'Settings'",
                 size=sending.size / 1e6,
@@ -144,7 +139,7 @@ class Uploads:
                 free = shutil.disk_usage(self.folder).free - _RESERVE_BYTES
                 if sending.size > free:
                     fault, size = "the disk has room for {size:.0f} MB", max(free, 0) / 1e6
-                    raise UploadError(fault, remedy="free some space on the disk", size=size)
+                    raise errors.UploadError(fault, remedy="free some space on the disk", size=size)
                 shutil.rmtree(self.folder / sending.key, ignore_errors=True)
                 self._write(Upload(sending=sending, begun_s=time.time()))
         return self.received(sending.key)
@@ -170,14 +165,14 @@ class Uploads:
         """
         files, remedy = self._known(key).files, "choose the files again"
         if not 0 <= number < len(files):
-            raise UploadError("there is no such file", remedy=remedy)
+            raise errors.UploadError("there is no such file", remedy=remedy)
         with self._lock, self._part(key, number).open("ab") as stream:
             received = stream.tell()
             if received != offset:  # a part that is sent again
                 return received
             if received + len(data) > files[number].size:
                 fault = "is larger than it was"
-                raise UploadError(fault, source=files[number].name, remedy=remedy)
+                raise errors.UploadError(fault, source=files[number].name, remedy=remedy)
             stream.write(data)
             stream.flush()
             os.fsync(stream.fileno())
@@ -237,10 +232,10 @@ class Uploads:
                     capture = replace(capture, stop=replace(stop, row=row, side=side))
                     words = _kept(capture, sending.round, waiting, store)
                     outcomes.append(UploadOutcome(name=name, saved=True, words=words))
-                except (DiskFullError, StoreAwayError):
+                except (errors.DiskFullError, errors.StoreAwayError):
                     raise
-                except CucumberVisionError as error:
-                    name, words = str(error.source or name), Message(error.at(None).line)
+                except errors.CucumberVisionError as error:
+                    name, words = str(error.source or name), errors.Message(error.at(None).line)
                     outcomes.append(UploadOutcome(name=name, saved=False, words=words))
         with self._lock:
             upload = self.read(key)
@@ -255,7 +250,7 @@ class Uploads:
     def _known(self, key: str) -> Sending:
         upload = self.read(key)
         if upload is None:
-            raise UploadError("this upload is gone", remedy="choose the files again")
+            raise errors.UploadError("this upload is gone", remedy="choose the files again")
         return upload.sending
 
     def _part(self, key: str, number: int) -> Path:
@@ -274,13 +269,15 @@ def _captures(
     for source in accepted.sources:
         try:
             refs = list(_opened(source, reading, camera))
-        except CucumberVisionError as error:
+        except errors.CucumberVisionError as error:
             yield source.title, partial(fail, error)
         else:
             yield from ((source.title, ref.load) for ref in refs)
 
 
-def _kept(capture: Capture, round_key: str, waiting: WaitingCaptures, store: Store) -> Message:
+def _kept(
+    capture: Capture, round_key: str, waiting: WaitingCaptures, store: Store
+) -> errors.Message:
     """Let a capture wait at its place; return the words for it.
 
     Raises
@@ -295,15 +292,15 @@ def _kept(capture: Capture, round_key: str, waiting: WaitingCaptures, store: Sto
         capture = replace(capture, stop=replace(capture.stop, step=step))
     item = RoundCapture.to_add(store, home, capture)
     if item.is_deleted:
-        raise UploadError("was deleted: undo that to have it back")
+        raise errors.UploadError("was deleted: undo that to have it back")
     if item.is_deleted is not None or waiting.holds(item.stop.key):
-        raise UploadError("is in the round already")
+        raise errors.UploadError("is in the round already")
     walking.refuse_taken(store, item.stop)
     stop = capture.stop
     for other in queued:
         is_there = replace(other.stop, step=stop.step) == stop
         if is_there and other.load().intrinsics == capture.intrinsics:
-            raise UploadError("another photo of this camera waits at its place")
+            raise errors.UploadError("another photo of this camera waits at its place")
     waiting.put(capture, item.stop.key, home, time.time())
     template = "{words} (row {row}, {side}, {position:.2f} m)"
     if home != round_key:
@@ -311,16 +308,16 @@ def _kept(capture: Capture, round_key: str, waiting: WaitingCaptures, store: Sto
             "{words} (row {row}, {side}, {position:.2f} m; computer-made, so in the round "
             "'Demonstration')"
         )
-    parts = {"row": stop.row or "?", "side": Message(stop.side or "")}
+    parts = {"row": stop.row or "?", "side": errors.Message(stop.side or "")}
     at_m = stop.position_m or 0.0
-    return Message(template, words=Message("saved"), position=at_m, **parts)
+    return errors.Message(template, words=errors.Message("saved"), position=at_m, **parts)
 
 
 def _opened(source: AcceptedSource, reading: ReadOptions, camera: str) -> CaptureSource:
     """Open a source; images without intrinsics get the camera's nominal ones."""
     try:
         return source.open(reading)
-    except IntrinsicsError:
+    except errors.IntrinsicsError:
         images = sorted(p for p in source.path.rglob("*") if p.suffix.lower() in COLOR_SUFFIXES)
         if not camera or reading.intrinsics or not images:
             raise

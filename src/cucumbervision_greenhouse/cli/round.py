@@ -12,16 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 import cucumbervision_greenhouse as greenhouse
-from cucumbervision.cli.choices import (
-    EXIT_CODES,
-    OF_CAMERA_FILE,
-    Profile,
-    RoundName,
-    StoreName,
-    loop_options,
-    measure_options,
-    takes,
-)
+from cucumbervision.cli import choices
 from cucumbervision_greenhouse import rounds
 from cucumbervision_greenhouse.exports import ExportFormat
 
@@ -78,7 +69,7 @@ def chosen_profile(name: str | None, round_summary: Round) -> CropProfile | None
 @app.command()
 def new(
     name: Annotated[str, typer.Argument(help="Name of the round.")] = "",
-    store: StoreName = "house.db",
+    store: choices.StoreName = "house.db",
     house: Annotated[str, typer.Option(help="The greenhouse.")] = "",
     profile: Annotated[str, typer.Option(help="Crop profile.")] = "long-cucumber",
 ) -> None:
@@ -95,13 +86,13 @@ def new(
     typer.echo(record.key)
 
 
-@app.command(epilog=EXIT_CODES)
-@takes("options", measure_options, {"profile", "depth"} | OF_CAMERA_FILE)
-@takes("loop", loop_options)
+@app.command(epilog=choices.EXIT_CODES)
+@choices.takes("options", choices.measure_options, {"profile", "depth"} | choices.OF_CAMERA_FILE)
+@choices.takes("loop", choices.loop_options)
 def add(
     captures: Annotated[list[Path], typer.Argument(help="Inputs as for `measure`.")],
-    store: StoreName = "house.db",
-    round_: RoundName = "",
+    store: choices.StoreName = "house.db",
+    round_: choices.RoundName = "",
     row: Annotated[str | None, typer.Option(help="Row of the house.")] = None,
     side: Annotated[str | None, typer.Option(help="Side of the row, such as left.")] = None,
     position: Annotated[
@@ -186,12 +177,16 @@ def _show_added(done: Sequence[Added], *, interrupted: bool) -> int:
     return 130 if interrupted else exit_code(len(done) - len(failures), failures)
 
 
-@app.command(epilog=EXIT_CODES)
-@takes("options", measure_options, {"profile", "depth", "intrinsics", "burst"} | OF_CAMERA_FILE)
-@takes("loop", loop_options)
+@app.command(epilog=choices.EXIT_CODES)
+@choices.takes(
+    "options",
+    choices.measure_options,
+    {"profile", "depth", "intrinsics", "burst"} | choices.OF_CAMERA_FILE,
+)
+@choices.takes("loop", choices.loop_options)
 def remeasure(
-    store: StoreName = "house.db",
-    round_: RoundName = "",
+    store: choices.StoreName = "house.db",
+    round_: choices.RoundName = "",
     *,
     options: MeasureOptions,
     loop: LoopOptions,
@@ -224,7 +219,7 @@ def remeasure(
 
 
 @app.command("merge")
-def merge(store: StoreName = "house.db", round_: RoundName = "") -> None:
+def merge(store: choices.StoreName = "house.db", round_: choices.RoundName = "") -> None:
     """Merge views of the same fruit from several stops; manual decisions are kept."""
     from cucumbervision.cli.console import screen
 
@@ -250,8 +245,8 @@ def merge(store: StoreName = "house.db", round_: RoundName = "") -> None:
 @app.command()
 def link(
     earlier: Annotated[str, typer.Argument(help="Name or key of the earlier round.")],
-    store: StoreName = "house.db",
-    round_: RoundName = "",
+    store: choices.StoreName = "house.db",
+    round_: choices.RoundName = "",
 ) -> None:
     """Link fruit to those of an earlier round, which may have grown and moved."""
     with opened_round(store, earlier) as (opened, before):
@@ -267,7 +262,11 @@ def link(
 
 
 @app.command()
-def show(store: StoreName = "house.db", round_: RoundName = "", profile: Profile = None) -> None:
+def show(
+    store: choices.StoreName = "house.db",
+    round_: choices.RoundName = "",
+    profile: choices.Profile = None,
+) -> None:
     """Show a round's fruit by row and position."""
     from cucumbervision.crop.grades import grade
     from cucumbervision.methods.flags import flag_remarks
@@ -301,7 +300,7 @@ def show(store: StoreName = "house.db", round_: RoundName = "", profile: Profile
 
 
 @app.command("list")
-def list_(store: StoreName = "house.db") -> None:
+def list_(store: choices.StoreName = "house.db") -> None:
     """List the rounds, newest first."""
     with greenhouse.open_store(store, create=False) as opened:
         walks = opened.rounds()
@@ -315,7 +314,7 @@ def list_(store: StoreName = "house.db") -> None:
 
 @app.command()
 def check(
-    store: StoreName = "house.db",
+    store: choices.StoreName = "house.db",
     remove: Annotated[
         bool, typer.Option("--remove", help="Remove pictures that no stop refers to.")
     ] = False,
@@ -342,12 +341,12 @@ def export(
         str,
         typer.Argument(metavar="[ROUND]", help="Name, key or start of a key; default: the newest."),
     ] = "",
-    store: StoreName = "house.db",
+    store: choices.StoreName = "house.db",
     formats: Annotated[
         list[ExportFormat] | None,
         typer.Option("--format", "-f", help="Repeat for several; default: csv, xlsx, json."),
     ] = None,
-    profile: Profile = None,
+    profile: choices.Profile = None,
 ) -> None:
     """Export a round: summary, fruit, stops, forecast, pick list, provenance."""
     from cucumbervision_greenhouse.exports.build import round_tables

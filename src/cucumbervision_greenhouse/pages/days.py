@@ -14,23 +14,18 @@ from cucumbervision_greenhouse.language import gettext as _
 from cucumbervision_greenhouse.pages import page_elements
 from cucumbervision_greenhouse.pages.round_choice import label_options, of_round
 from cucumbervision_greenhouse.round_view import RoundView
-from cucumbervision_greenhouse.rounds.day_comparison import (
-    Change,
-    DayComparison,
-    FruitChange,
-    offered_pairs,
-)
+from cucumbervision_greenhouse.rounds import day_comparison
 from cucumbervision_greenhouse.rounds.merge_and_link import earlier_rounds
 from cucumbervision_greenhouse.settings import Units
 from cucumbervision_greenhouse.store.records import FruitRow, Round
 
 _SEASON = 200  # rounds in the chart
 _CHANGES = {
-    Change.STAYED: marked("Seen on both days"),
-    Change.PICKED: marked("Picked"),
-    Change.GONE: marked("Not seen again"),
-    Change.NEW: marked("New"),
-    Change.NOT_WALKED: marked("Not walked"),
+    day_comparison.Change.STAYED: marked("Seen on both days"),
+    day_comparison.Change.PICKED: marked("Picked"),
+    day_comparison.Change.GONE: marked("Not seen again"),
+    day_comparison.Change.NEW: marked("New"),
+    day_comparison.Change.NOT_WALKED: marked("Not walked"),
 }
 
 
@@ -51,7 +46,7 @@ def page(walk: RoundView) -> None:
         return
     before = earlier[_choose_day(earlier)]
     comparison = round_view.comparison_of(before, round_summary)
-    fruit_key = st.query_params.get("fruit")
+    fruit_key = st.query_params.get("fruit", "")
     views = [view for fruit in comparison.changes for view in (fruit.before, fruit.after) if view]
     if fruit_key in [view.key for view in views]:
         _fruit_days(round_summary, fruit_key)
@@ -75,25 +70,29 @@ def _choose_day(earlier: dict[str, Round]) -> str:
     return str(key)
 
 
-def _metrics(counts: DayComparison, before: Round, after: Round) -> None:
+def _metrics(counts: day_comparison.DayComparison, before: Round, after: Round) -> None:
     metrics: dict[str, int | str] = {
         _("On {day}").format(day=texts.day_words(before.walked_s)): counts.before,
-        _("Picked"): counts.number(Change.PICKED),
-        _("Not seen again"): counts.number(Change.GONE),
-        _("New"): counts.number(Change.NEW),
+        _("Picked"): counts.number(day_comparison.Change.PICKED),
+        _("Not seen again"): counts.number(day_comparison.Change.GONE),
+        _("New"): counts.number(day_comparison.Change.NEW),
         _("On {day}").format(day=texts.day_words(after.walked_s)): counts.after,
         _("Growth"): texts.daily_growth_words(counts.growth_m_per_day, resources.settings().units),
     }
     page_elements.metrics(metrics)
-    stayed = counts.of(Change.STAYED)
-    if counts.of(Change.GONE) and counts.of(Change.NEW) and not stayed:
+    stayed = counts.of(day_comparison.Change.STAYED)
+    if (
+        counts.of(day_comparison.Change.GONE)
+        and counts.of(day_comparison.Change.NEW)
+        and not stayed
+    ):
         words = _(
             "No fruit of one day is surely one of the other: 'not seen again' and 'new' may be the "
             "same fruit."
         )
         st.warning(words, icon=":material/link_off:")
     notes = []
-    if n := counts.number(Change.NOT_WALKED):
+    if n := counts.number(day_comparison.Change.NOT_WALKED):
         notes.append(
             counted(
                 n,
@@ -119,10 +118,10 @@ def _metrics(counts: DayComparison, before: Round, after: Round) -> None:
     st.caption(" ".join(notes))
 
 
-def _offer(comparison: DayComparison, before: Round, after: Round) -> None:
+def _offer(comparison: day_comparison.DayComparison, before: Round, after: Round) -> None:
     """Ask whether a fruit that was not seen again is a new one, with both pictures."""
     store, contents = resources.store(), [round_view.view_of(x).content for x in (before, after)]
-    pairs = offered_pairs(store, comparison, contents)
+    pairs = day_comparison.offered_pairs(store, comparison, contents)
     page_elements.draw_undo(after.key)
     if not pairs:
         return
@@ -143,14 +142,14 @@ def _offer(comparison: DayComparison, before: Round, after: Round) -> None:
         page_elements.button(column, label, icon, act, key=f"{icon}_{keys[0]}")
 
 
-def _rows(comparison: DayComparison) -> None:
+def _rows(comparison: day_comparison.DayComparison) -> None:
     lines = [
         {
             _("Row"): row or "?",
             _("Before"): counts.before,
-            _("Picked"): counts.number(Change.PICKED),
-            _("Not seen again"): counts.number(Change.GONE),
-            _("New"): counts.number(Change.NEW),
+            _("Picked"): counts.number(day_comparison.Change.PICKED),
+            _("Not seen again"): counts.number(day_comparison.Change.GONE),
+            _("New"): counts.number(day_comparison.Change.NEW),
             _("Now"): counts.after,
             _("Growth"): texts.daily_growth_words(
                 counts.growth_m_per_day, resources.settings().units
@@ -162,9 +161,9 @@ def _rows(comparison: DayComparison) -> None:
         page_elements.table(lines)
 
 
-def _classes(comparison: DayComparison, before: Round, after: Round) -> None:
+def _classes(comparison: day_comparison.DayComparison, before: Round, after: Round) -> None:
     """Show the compared fruit by class, on both days."""
-    compared = [x for x in comparison.changes if x.change is not Change.NOT_WALKED]
+    compared = [x for x in comparison.changes if x.change is not day_comparison.Change.NOT_WALKED]
     views = [x.before for x in compared], [x.after for x in compared]
     profiles = (resources.profile_of(day)[1] for day in (before, after))
     first, last = map(round_view.class_counts, (filter(None, x) for x in views), profiles)
@@ -180,8 +179,8 @@ def _classes(comparison: DayComparison, before: Round, after: Round) -> None:
     page_elements.table(lines)
 
 
-def _each_fruit(comparison: DayComparison) -> None:
-    kinds = [change for change in Change if comparison.of(change)]
+def _each_fruit(comparison: day_comparison.DayComparison) -> None:
+    kinds = [change for change in day_comparison.Change if comparison.of(change)]
     if st.session_state.get("change") not in kinds:
         st.session_state["change"] = kinds[0]
     words = {kind: _(_CHANGES[kind]) for kind in kinds}
@@ -224,7 +223,7 @@ def _fruit_days(round_summary: Round, key: str) -> None:
         page_elements.link("results", _("Open this fruit"), fruit=views[-1].key)
 
 
-def _change_words(fruit: FruitChange, units: Units) -> list[str]:
+def _change_words(fruit: day_comparison.FruitChange, units: Units) -> list[str]:
     """Return the words for a fruit of two rounds: its place, its two lengths, its growth."""
     views = [view for view in (fruit.before, fruit.after) if view is not None]
     growth, last = fruit.growth_m_per_day, views[-1]

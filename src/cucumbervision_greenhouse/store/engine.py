@@ -29,14 +29,7 @@ from sqlalchemy import (
 )
 from sqlalchemy.engine import URL, make_url
 
-from cucumbervision.errors import (
-    DiskFullError,
-    MissingExtraError,
-    StoreAwayError,
-    StoreError,
-    StoreVersionError,
-    wrap_os_errors,
-)
+from cucumbervision import errors
 from cucumbervision_greenhouse.store.images import ImageStore
 from cucumbervision_greenhouse.store.schema import FRUIT, METADATA, VERSION
 
@@ -90,14 +83,16 @@ def database_url(where: str | Path) -> URL:
     try:
         url = make_url(text) if "://" in text else URL.create("sqlite", database=text)
     except exc.ArgumentError:
-        raise StoreError("is not a database address", source="--store", remedy=_USAGE) from None
+        raise errors.StoreError(
+            "is not a database address", source="--store", remedy=_USAGE
+        ) from None
     backend = url.get_backend_name()
     if backend == "postgresql":
         return url.set(drivername="postgresql+psycopg")
     if backend != "sqlite":
-        raise StoreError(f"'{backend}' is not supported", source=named(url), remedy=_USAGE)
+        raise errors.StoreError(f"'{backend}' is not supported", source=named(url), remedy=_USAGE)
     if not url.database or url.database == ":memory:":
-        raise StoreError("names no file", source=named(url), remedy=_USAGE)
+        raise errors.StoreError("names no file", source=named(url), remedy=_USAGE)
     return url.set(drivername="sqlite")
 
 
@@ -136,7 +131,7 @@ def stored_json(value: Any) -> str:
     try:
         content = json.dumps(value, default=vars, allow_nan=False, ensure_ascii=False)
     except (ValueError, TypeError) as error:
-        raise StoreError(
+        raise errors.StoreError(
             f"the record cannot be stored ({error})", remedy="give finite numbers and plain values"
         ) from None
     return _NULL.sub(r"\1?", content.encode(errors="replace").decode())
@@ -168,7 +163,7 @@ def make_engine(url: URL) -> Engine:
                 url, pool_pre_ping=True, connect_args=encoding, json_serializer=stored_json
             )
         except ModuleNotFoundError:
-            raise MissingExtraError("psycopg", "postgres") from None
+            raise errors.MissingExtraError("psycopg", "postgres") from None
     path = Path(url.database or "").absolute()
     if path.exists() and not all(
         os.access(checked_path, os.W_OK, effective_ids=True) for checked_path in (path, path.parent)
@@ -176,7 +171,9 @@ def make_engine(url: URL) -> Engine:
         engine = create_engine(url, creator=lambda: _open_read_only(path))
         event.listen(engine, "begin", _begin_sqlite)
         return engine
-    with wrap_os_errors("cannot be made", path.parent, "name another folder", StoreError):
+    with errors.wrap_os_errors(
+        "cannot be made", path.parent, "name another folder", errors.StoreError
+    ):
         path.parent.mkdir(parents=True, exist_ok=True)
     timeout = {"timeout": BUSY_TIMEOUT_S}
     engine = create_engine(url, connect_args=timeout, json_serializer=stored_json)
@@ -248,23 +245,25 @@ def _store_errors(url: URL) -> Iterator[None]:
     try:
         yield
     except UnicodeError as error:  # SQLite names what is damaged with its damaged bytes
-        raise StoreError(
+        raise errors.StoreError(
             "the file is damaged",
             source=named(url),
             remedy="copy the file away and run 'sqlite3 FILE .recover'",
         ) from error
     except OverflowError as error:
-        raise StoreError(
+        raise errors.StoreError(
             "a number is too large for the database", source=named(url), remedy="give a smaller one"
         ) from error
     except exc.SQLAlchemyError as error:
-        if isinstance(error, exc.StatementError) and isinstance(error.orig, StoreError):
+        if isinstance(error, exc.StatementError) and isinstance(error.orig, errors.StoreError):
             raise error.orig from None
         cause = error.orig if isinstance(error, exc.DBAPIError) and error.orig else error
         fault = str(cause).strip().splitlines()[0] if str(cause).strip() else type(cause).__name__
         remedy = next((hint for sign, hint in _HINTS if sign in fault), "see the fault's own words")
-        away = StoreAwayError if isinstance(error, exc.OperationalError) else StoreError
-        kind = DiskFullError if remedy == _MAKE_ROOM else away
+        away = (
+            errors.StoreAwayError if isinstance(error, exc.OperationalError) else errors.StoreError
+        )
+        kind = errors.DiskFullError if remedy == _MAKE_ROOM else away
         raise kind(fault, source=named(url), remedy=remedy) from error
 
 
@@ -302,7 +301,7 @@ class Database:
     def images(self) -> ImageStore:
         """The images beside the database."""
         if self._images is None:
-            raise StoreError(
+            raise errors.StoreError(
                 "the folder of the pictures is not known",
                 source=self.name,
                 remedy="open the store with images=FOLDER, or postgresql://…?images=FOLDER",
@@ -371,7 +370,7 @@ def _migrate(connection: Connection, version: str, source: str) -> None:
     from cucumbervision_greenhouse.store.migrations import STEPS
 
     if version not in STEPS:
-        raise StoreVersionError(
+        raise errors.StoreVersionError(
             f"has schema {version}, and this software reads schema {min(STEPS)} to {VERSION}",
             source=source,
             remedy="use the version of cucumbervision that wrote it; nothing was changed",
@@ -401,7 +400,7 @@ def stored_version(connection: Connection) -> str | None:
 def _check_free(connection: Connection, source: str) -> None:
     taken = set(inspect(connection).get_table_names()) & set(METADATA.tables)
     if taken:
-        raise StoreError(
+        raise errors.StoreError(
             f"holds tables of another program ({', '.join(sorted(taken))})",
             source=source,
             remedy="name another database; nothing was changed",

@@ -1,4 +1,4 @@
-"""Commands of the laboratory, registered through an entry point, and what they print."""
+"""Commands of the laboratory, and what they print."""
 
 from __future__ import annotations
 
@@ -6,32 +6,12 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping
+    from collections.abc import Callable, Iterable, Iterator
 
-    import typer
     from rich.progress import TaskID
 
     from cucumbervision.accuracy.statistics import ReportTable
     from cucumbervision_lab.arrays import Progress
-
-
-def register(program: typer.Typer, groups: Mapping[str, typer.Typer]) -> None:  # noqa: ARG001
-    """Register the laboratory's commands.
-
-    Parameters
-    ----------
-    program : typer.Typer
-        The command `cucumbervision`.
-    groups : mapping of str to typer.Typer
-        Its command groups.
-    """
-    from cucumbervision_lab.cli import data, evaluate, train
-
-    program.command("benchmark")(evaluate.benchmark)
-    program.command("synth")(data.synth)
-    program.add_typer(data.app, name="data")
-    program.add_typer(train.app, name="train")
-    program.add_typer(evaluate.app, name="evaluate")
 
 
 @contextmanager

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -9,7 +10,7 @@ import typer
 
 from cucumbervision.cli.choices import InputSize, Runtime
 from cucumbervision.networks import DEFAULT_CONFIDENCE
-from cucumbervision_lab.cli import part_bars, show, show_tables, ticking
+from cucumbervision_lab.cli import data, part_bars, show, show_tables, ticking, train
 
 Seg = Annotated[
     Path | None, typer.Option(help="YOLO segmentation .onnx; default: the packaged network.")
@@ -200,3 +201,20 @@ def benchmark(
     tables = benchmark_tables(readings)
     show_tables(tables)
     show(f"Results: {write_tables(out / 'benchmark.json', provenance, tables)}")
+
+
+def register(program: typer.Typer, groups: Mapping[str, typer.Typer]) -> None:  # noqa: ARG001
+    """Register the laboratory's commands.
+
+    Parameters
+    ----------
+    program : typer.Typer
+        The command `cucumbervision`.
+    groups : mapping of str to typer.Typer
+        Its command groups.
+    """
+    program.command("benchmark")(benchmark)
+    program.command("synth")(data.synth)
+    program.add_typer(data.app, name="data")
+    program.add_typer(train.app, name="train")
+    program.add_typer(app, name="evaluate")

@@ -4,7 +4,8 @@
 
 A real browser presses twice a second while a recording of 1280 x 720 plays in the camera's place.
 The connection is lost for 20 s at a time; the server is killed (SIGKILL) and started again, once
-of two times while the connection is lost. Stops are counted in the store and in its queue.
+of two times while the connection is lost. Where photos were lost, the place of the next stop is
+typed. Stops are counted in the store and in its queue.
 """
 
 from __future__ import annotations
@@ -37,12 +38,12 @@ WALK = Round(key_of("presses"), "presses", "", 1_700_000_000.0, "long-cucumber")
 GAP_S, EVERY_S = 20.0, 0.5
 _PATIENCE_S, _MARGIN_S = 300.0, 90.0
 _PRESS = """([number, every_ms]) => {
-  let count = 0;
+  const [take, position] = ["take", "position"].map((name) => document.getElementById(name));
   const timer = setInterval(() => {
+    if (!position.value) { position.value = "1"; position.dispatchEvent(new Event("change")); }
     const touch = { isPrimary: true, button: 0, bubbles: true };
-    document.getElementById("take").dispatchEvent(new PointerEvent("pointerdown", touch));
-    if ((count += 1) === number) clearInterval(timer);
-    window.pressed = count;
+    take.dispatchEvent(new PointerEvent("pointerdown", touch));
+    if ((window.pressed = (window.pressed || 0) + 1) === number) clearInterval(timer);
   }, every_ms);
 }"""
 _LEFT = """() => new Promise((resolve) => {

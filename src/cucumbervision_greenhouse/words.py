@@ -93,8 +93,7 @@ def round_name(round_summary: Round) -> str:
     house = f", {round_summary.house}" if round_summary.house else ""
     stops = counted(round_summary.stops, "stop", "stops")
     name, day = round_summary.name or marked("Round"), round_day(round_summary.walked_s)
-    if is_demonstration(round_summary.key) or not round_summary.name:
-        name = _(name)
+    name = _(name) if is_demonstration(round_summary.key) or not round_summary.name else name
     return f"{name}{house} · {day} · {stops}"
 
 

@@ -32,10 +32,10 @@ from cucumbervision_greenhouse.words import day_words, position_words
 
 ROOT = Path(__file__).parents[2]
 GREENHOUSE = ROOT / "src/cucumbervision_greenhouse"
-MARKING = {"_", "ngettext", "counted", "marked"}
+MARKING = {"_", "ngettext", "counted", "marked", "cast"}  # the type of a cast is no text
 # Words for people begin with a capital, or are several; anything else is a key, a name or a style.
 TEXT = re.compile(r"^\W*[A-Z][a-z]+\b(?!:)|[a-z] [a-z]+ [a-z]")
-SHARED = ("fruit_pictures", "row_drawing", "jobs", "round_view", "tasks")
+SHARED = ("fruit_pictures", "row_drawing", "resources", "round_view", "tasks")
 DRAWN = sorted((GREENHOUSE / "pages").glob("*.py"))
 DRAWN += [GREENHOUSE / f"{name}.py" for name in SHARED]
 

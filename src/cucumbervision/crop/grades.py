@@ -113,6 +113,7 @@ def share_below(length: result.Length, limit_m: ArrayLike) -> Array:
 
     Examples
     --------
+    >>> from cucumbervision.methods.result import Length
     >>> share_below(Length(0.252, low_m=0.246, high_m=0.258), [0.25, 0.35]).round(2).tolist()
     [0.29, 1.0]
     """

@@ -8,7 +8,6 @@ from typing import Any
 from urllib.parse import urlencode, urljoin
 
 import numpy as np
-import pydeck
 import streamlit as st
 from numpy.typing import NDArray
 
@@ -341,7 +340,7 @@ _RING_COLOR, _AXIS_COLOR = (86, 180, 233), (255, 255, 255)
 _ENDS = {"stem": (240, 228, 66), "blossom": (240, 228, 66), "cut": (213, 94, 0)}
 
 
-def point_cloud(capture: Capture, record: FruitRow) -> pydeck.Deck | None:
+def point_cloud(capture: Capture, record: FruitRow) -> Any:
     """Return a fruit's depth points and the fitted tube as a scene that can be rotated.
 
     Parameters

@@ -66,7 +66,7 @@ def page(walk: RoundView) -> None:
             list_side, fruit_side = st.columns([1, 3], gap="medium")
         with fruit_side:
             fruit_page.show(walk, opened, fruit)
-        if "Mobi" not in st.context.headers.get("User-Agent", "Mobi"):
+        if "mobi" not in st.context.headers.get("user-agent", "mobi").lower():
             with list_side:
                 _list(walk, fruit, opened)
         return
@@ -177,7 +177,7 @@ def _listed(walk: RoundView) -> list[FruitRow]:
         and label in (None, walk.grades[view.key].label)
         and (reading_filter is None or reading_filter in _with(view))
     ]
-    return sorted(fruit, key=_ORDERS[st.session_state.get("only_order", "Walk")])
+    return sorted(fruit, key=_ORDERS[st.session_state.get("only_order", next(iter(_ORDERS)))])
 
 
 def _chart(walk: RoundView, fruit: Sequence[FruitRow]) -> None:

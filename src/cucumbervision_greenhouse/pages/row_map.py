@@ -49,6 +49,8 @@ def _rows(walk: RoundView, opened: str) -> None:
             "an outline: picked. Tap a fruit to open it; two fingers, or Ctrl and wheel, enlarge."
         )
     )
+    if (ready := walk.ready) is not None:
+        st.caption(texts.ready_words(ready))
     save: dict[str, Any] = {"file_name": f"{walk.round.name or 'row'}.svg", "mime": "image/svg+xml"}
     st.download_button(_("Save as SVG"), sheet(drawn), icon=":material/download:", **save)
 

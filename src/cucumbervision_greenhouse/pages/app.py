@@ -111,13 +111,11 @@ def _links(pages: list[st.Page]) -> None:
 
 def _head(title: str) -> str:
     """Return the top of a page: the program and the house that is open."""
-    opened = st.session_state.get("round")
-    rounds = [resources.store().round(opened)] if opened else resources.rounds()
-    house = next((x.house for x in rounds if x is not None), "")
+    walk = resources.store().round(page_elements.opened_round())
     parts = {
         "language": language(),
         "home": escape(f"/?{urlencode(page_elements.here())}"),
-        "house": escape(house),
+        "house": escape(walk.house if walk else ""),
         "title": escape(title),
     }
     return _HEAD.format(**parts)

@@ -344,17 +344,17 @@ def say_missing(name: str, present: Container[str | None], words: str) -> None:
 
 def live() -> None:
     """Show the current work; draw the page anew after a change of its round by anybody."""
-    _live(round_view.news(_opened())["version"])
+    _live(round_view.news(opened_round())["version"])
 
 
-def _opened() -> str:
-    # The first page of a session opens the newest round further down.
+def opened_round() -> str:
+    """Return the key of the open round; the newest before a page has chosen one, empty without."""
     return st.session_state.get("round") or next((walk.key for walk in resources.rounds()), "")
 
 
 @st.fragment(run_every=_NEWS_S)
 def _live(version: str) -> None:
-    news = round_view.news(_opened())
+    news = round_view.news(opened_round())
     if version != news["version"]:
         st.rerun()
     work = news["work"]
